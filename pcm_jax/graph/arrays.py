@@ -1,0 +1,150 @@
+"""What a user may pass for poses, measurements and their uncertainty, as checked NumPy arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jaxlie
+import numpy as np
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.graph import validation
+from pcm_jax.graph.validation import ROTATION_TOLERANCE, Fault, argument_fault
+
+ORDERS = ("translation-rotation", "rotation-translation")
+
+
+def batch_size(transform: Any) -> int:
+    """The size of a batch `[n]`, under a vmap's leading axes too; 0 where no shape is known."""
+    for leaf in jax.tree.leaves(transform):
+        shape = getattr(leaf, "shape", ())
+        return shape[-2] if len(shape) > 1 else 0
+    return 0
+
+
+def rotation_size(group: type) -> int:
+    """Leading parameters that are the rotation: 2 (cos, sin), 4 (quaternion), 0 on the line."""
+    module = lie.module_of(group)
+    return module.PARAMETERS_DIM - (module.MATRIX_DIM - 1)
+
+
+def as_transforms(values: Any, argument: str, fault: Fault | None = None) -> Any:
+    """A NumPy-backed batch `[n]` of float64 transforms with unit rotations.
+
+    Args:
+        values: `jaxlie.SE2`, `jaxlie.SE3` or `R1` with one batch axis, or homogeneous matrices
+            `[n, 3, 3]` or `[n, 4, 4]`.
+        argument: the name to use in messages.
+        fault: names a culprit; by default `argument[row]`.
+
+    Raises:
+        InputError: for anything else, for numbers that are not finite, a quaternion of norm zero,
+            and a matrix that is no rigid motion (to 1e-3).
+    """
+    fault = fault or argument_fault(argument)
+    if isinstance(values, jaxlie.MatrixLieGroup):
+        transforms = lie.as_numpy(values)
+    else:
+        transforms = _from_matrices(values, argument, fault)
+    rows = np.asarray(lie.parameters(transforms))
+    if rows.ndim != 2:
+        raise InputError(f"{argument}: batch shape {rows.shape[:-1]} given, expected one axis [n]")
+    validation.check_finite(rows, fault)
+    group = lie.group_of(transforms)
+    return group(validation.unit_rotations(rows, rotation_size(group), fault))
+
+
+def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
+    try:
+        matrices: Any = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{argument}: {type(values).__name__} given, expected jaxlie.SE2, jaxlie.SE3 or "
+            "homogeneous matrices [n, 3, 3] or [n, 4, 4]"
+        ) from None
+    if matrices.ndim != 3 or matrices.shape[1:] not in ((3, 3), (4, 4)):
+        raise InputError(
+            f"{argument}: shape {matrices.shape} given, expected homogeneous matrices [n, 3, 3] "
+            "(SE(2)) or [n, 4, 4] (SE(3))"
+        )
+    validation.check_finite(matrices, fault)
+    size = matrices.shape[-1]
+    rotation, bottom = matrices[:, :-1, :-1], matrices[:, -1]
+    skewed = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(size - 1)).max(axis=(1, 2))
+    validation.raise_first(
+        (np.linalg.det(rotation) <= 0.0) | (skewed > ROTATION_TOLERANCE),
+        fault,
+        lambda _: f"the upper left {size - 1}x{size - 1} block is not a rotation matrix",
+    )
+    validation.raise_first(
+        np.abs(bottom - np.eye(size)[-1]).max(axis=1) > ROTATION_TOLERANCE,
+        fault,
+        lambda row: f"last row {bottom[row].tolist()} given, expected zeros and a one",
+    )
+    return lie.from_matrix(matrices)
+
+
+def as_information(
+    information: Any, covariance: Any, transforms: Any, tangent_order: str
+) -> np.ndarray:
+    """Information `[m, d, d]` over (translation, rotation), symmetric and positive definite.
+
+    Args:
+        information: `[m, d, d]`, or None where `covariance` is given.
+        covariance: `[m, d, d]`, or None where `information` is given.
+        transforms: the measurements, NumPy-backed `[m]`.
+        tangent_order: one of `ORDERS`, of the rows and columns given.
+
+    Raises:
+        InputError: unless exactly one is given; for a wrong shape; for a matrix that is not
+            finite, symmetric and positive definite.
+    """
+    if (information is None) == (covariance is None):
+        raise InputError("information, covariance: give exactly one of the two")
+    argument = "information" if covariance is None else "covariance"
+    matrices = np.asarray(information if covariance is None else covariance, dtype=np.float64)
+    group = lie.group_of(transforms)
+    d, count = lie.tangent_dim(group), len(lie.parameters(transforms))
+    if matrices.shape != (count, d, d):
+        raise InputError(f"{argument}: shape {matrices.shape} given, expected {(count, d, d)}")
+    matrices = validation.check_information(matrices, argument_fault(argument), argument)
+    if covariance is not None:
+        matrices = np.linalg.inv(matrices)
+        matrices = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
+    return _reordered(matrices, d, lie.module_of(group).MATRIX_DIM - 1, tangent_order)
+
+
+def _reordered(matrices: np.ndarray, d: int, translation: int, tangent_order: str) -> np.ndarray:
+    if tangent_order not in ORDERS:
+        raise InputError(f"tangent_order: {tangent_order!r} given, expected one of {ORDERS}")
+    if tangent_order == ORDERS[0]:
+        return matrices
+    order = np.roll(np.arange(d), translation)
+    return matrices[:, order][:, :, order]
+
+
+def as_ids(ids: Any, count: int) -> np.ndarray:
+    """int64 `[count]`, all different; 0 … count − 1 for None."""
+    if ids is None:
+        return np.arange(count, dtype=np.int64)
+    values = np.asarray(ids)
+    if values.shape != (count,):
+        raise InputError(f"ids: shape {values.shape} given, expected ({count},), one per pose")
+    if count and not np.issubdtype(values.dtype, np.integer):
+        raise InputError(f"ids: {values.dtype} given, expected integers")
+    unique, counts = np.unique(values, return_counts=True)
+    if len(unique) < count:
+        raise InputError(f"ids: {unique[np.argmax(counts)]} occurs more than once")
+    return values.astype(np.int64)
+
+
+def as_names(names: Any, count: int) -> np.ndarray:
+    """Object array `[count]` of strings; empty ones for None."""
+    out = np.full(count, "", dtype=object)
+    if names is not None:
+        if len(names) != count:
+            raise InputError(f"source: {len(names)} entries given, expected {count}")
+        out[:] = list(names)
+    return out

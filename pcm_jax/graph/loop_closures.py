@@ -1,0 +1,310 @@
+"""Measurements between the poses of different robots."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.graph import arrays, symbols, validation
+from pcm_jax.graph.arrays import batch_size
+from pcm_jax.graph.validation import argument_fault
+from pcm_jax.precision import device_array
+
+if TYPE_CHECKING:
+    from pcm_jax.graph.pose_graph import PoseGraph
+
+TRACED = ("robot_a", "pose_a", "robot_b", "pose_b", "measurement", "information")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LoopClosures:
+    """Inter-robot relative-pose measurements, some of which may be false.
+
+    Closure k says that pose `pose_b[k]` of robot `robot_b[k]`, seen from pose `pose_a[k]` of robot
+    `robot_a[k]`, is `measurement[k]`, with an error in the right perturbation `z exp(δ)`,
+    δ = (translation, rotation) in metres and radians. Robots and poses are indices, not ids.
+
+    A pytree with keys: all fields but `source` are its children. `source` lives outside the traced
+    part, as a `PoseGraph`'s ids do, and is lost where JAX rebuilds the object. The constructor
+    checks nothing: see `from_arrays` and `from_ids`.
+
+    Attributes:
+        robot_a: int32 `[m]`.
+        pose_a: int32 `[m]`.
+        robot_b: int32 `[m]`.
+        pose_b: int32 `[m]`.
+        measurement: `jaxlie.SE2` or `jaxlie.SE3` `[m]`.
+        information: `[m, d, d]`, inverse covariance of δ.
+        source: NumPy `[m]` of strings, "file:line" of each closure, or "" where not from a file.
+    """
+
+    robot_a: Int[Array, " m"]
+    pose_a: Int[Array, " m"]
+    robot_b: Int[Array, " m"]
+    pose_b: Int[Array, " m"]
+    measurement: Any
+    information: Float[Array, "m d d"]
+    source: np.ndarray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.source is None:
+            object.__setattr__(self, "source", np.full(batch_size(self.measurement), "", object))
+
+    def __len__(self) -> int:
+        return batch_size(self.measurement)
+
+    @property
+    def group(self) -> type[Any]:
+        """`jaxlie.SE2` or `jaxlie.SE3`."""
+        return lie.group_of(self.measurement)
+
+    @property
+    def tangent_dim(self) -> int:
+        """d: 3 for SE(2), 6 for SE(3)."""
+        return lie.tangent_dim(self.measurement)
+
+    def __getitem__(self, rows: Any) -> LoopClosures:
+        """The closures at integer indices, at one index, in a slice, or where a mask `[m]` is true.
+
+        Raises:
+            InputError: for a mask of another length.
+        """
+        rows = np.asarray(rows) if not isinstance(rows, slice) else rows
+        if not isinstance(rows, slice):
+            if rows.dtype == bool and rows.shape != (len(self),):
+                raise InputError(
+                    f"closures[mask]: mask of shape {rows.shape}, expected ({len(self)},)"
+                )
+            rows = np.atleast_1d(rows) if rows.size else np.zeros(0, np.int64)
+        return self.from_checked(
+            tuple(np.asarray(getattr(self, name))[rows] for name in TRACED[:4]),
+            lie.take(lie.as_numpy(self.measurement), rows),
+            np.asarray(self.information)[rows],
+            self.source[rows],
+        )
+
+    def between(self, a: int, b: int) -> tuple[LoopClosures, np.ndarray]:
+        """The closures that join robots `a` and `b`, oriented from `a` to `b`.
+
+        One stored from b to a is inverted exactly: with z' = z⁻¹, an error z exp(δ) is
+        z' exp(δ') for δ' = −Ad(z) δ, so Ω' = Ad(z)⁻ᵀ Ω Ad(z)⁻¹.
+
+        Returns:
+            The closures, and their indices (int64) here, ascending.
+        """
+        robot_a, robot_b = np.asarray(self.robot_a), np.asarray(self.robot_b)
+        backward = (robot_a == b) & (robot_b == a)
+        indices = np.flatnonzero(((robot_a == a) & (robot_b == b)) | backward)
+        return self[indices]._flipped(backward[indices]), indices
+
+    def _flipped(self, rows: np.ndarray) -> LoopClosures:
+        """The same closures, with those where `rows` is true stored the other way round."""
+        if not rows.any():
+            return self
+        measurement = lie.as_numpy(self.measurement)
+        inverse = lie.inverse(measurement)
+        values = np.where(rows[:, None], lie.parameters(inverse), lie.parameters(measurement))
+        information = np.array(self.information)
+        back = lie.adjoint(lie.take(inverse, rows))  # Ad(z)⁻¹ = Ad(z⁻¹)
+        information[rows] = np.swapaxes(back, 1, 2) @ information[rows] @ back
+        ends = [np.asarray(getattr(self, name)) for name in TRACED[:4]]
+        flipped = tuple(np.where(rows, ends[(k + 2) % 4], ends[k]) for k in range(4))
+        return self.from_checked(flipped, self.group(values), information, self.source)
+
+    def pairs(self) -> list[tuple[int, int]]:
+        """The pairs of robots that closures join, (a, b) with a < b, sorted."""
+        robots = np.stack([np.asarray(self.robot_a), np.asarray(self.robot_b)], axis=1)
+        unique = np.unique(np.sort(robots, axis=1), axis=0)
+        return [(int(a), int(b)) for a, b in unique]
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        robot_a: Any,
+        pose_a: Any,
+        robot_b: Any,
+        pose_b: Any,
+        measurement: Any,
+        information: Any = None,
+        covariance: Any = None,
+        tangent_order: str = "translation-rotation",
+        source: Any = None,
+    ) -> LoopClosures:
+        """Validated closures, float64 also where 64-bit types are not enabled.
+
+        Whether the robots and poses exist is checked where the maps are known
+        (`MultiRobotGraph`).
+
+        Args:
+            robot_a: integers `[m]`, indices of robots.
+            pose_a: integers `[m]`, indices of robot a's poses.
+            robot_b: integers `[m]`.
+            pose_b: integers `[m]`.
+            measurement: `jaxlie.SE2` or `jaxlie.SE3` `[m]`, or homogeneous matrices `[m, 3, 3]` or
+                `[m, 4, 4]`: pose b seen from pose a.
+            information: `[m, d, d]`, symmetric positive definite; or
+            covariance: its inverse. Exactly one of the two.
+            tangent_order: "translation-rotation" or "rotation-translation" (GTSAM's `Pose3`).
+            source: strings `[m]`, where each closure was read.
+
+        Raises:
+            InputError: for a wrong shape, a number that is not finite, a negative index, a closure
+                from a robot to itself, information that is not symmetric and positive definite.
+        """
+        edges = arrays.as_transforms(measurement, "measurement")
+        count = len(lie.parameters(edges))
+        given = {"robot_a": robot_a, "pose_a": pose_a, "robot_b": robot_b, "pose_b": pose_b}
+        ends = []
+        for argument, values in given.items():
+            indices = validation.as_indices(values, np.iinfo(np.int32).max, argument, "in all")
+            if len(indices) != count:
+                raise InputError(
+                    f"{argument}: {len(indices)} entries given,"
+                    f" expected {count}, one per measurement"
+                )
+            ends.append(indices)
+        validation.raise_first(
+            ends[0] == ends[2],
+            argument_fault("robot_b"),
+            lambda row: f"closure from robot {ends[0][row]} to itself, expected two robots",
+        )
+        matrices = arrays.as_information(information, covariance, edges, tangent_order)
+        return cls.from_checked(tuple(ends), edges, matrices, arrays.as_names(source, count))
+
+    @classmethod
+    def from_ids(
+        cls,
+        maps: Sequence[PoseGraph],
+        *,
+        robot_a: Any,
+        id_a: Any,
+        robot_b: Any,
+        id_b: Any,
+        **measured: Any,
+    ) -> LoopClosures:
+        """Validated closures from the ids of poses.
+
+        Args:
+            maps: the robots' maps.
+            robot_a: indices or names of robots `[m]`.
+            id_a: integers `[m]`: ids of robot a's poses; where they are symbol keys, the symbol's
+                index will do.
+            robot_b: like `robot_a`.
+            id_b: like `id_a`.
+            measured: `measurement`, `information` or `covariance`, `tangent_order`, `source`, as
+                for `from_arrays`.
+
+        Raises:
+            InputError: as `from_arrays`, and for a robot or an id that is not there.
+        """
+        a, b = robot_indices(maps, robot_a, "robot_a"), robot_indices(maps, robot_b, "robot_b")
+        return cls.from_arrays(
+            robot_a=a,
+            pose_a=pose_indices(maps, a, id_a, argument_fault("id_a")),
+            robot_b=b,
+            pose_b=pose_indices(maps, b, id_b, argument_fault("id_b")),
+            **measured,
+        )
+
+    @classmethod
+    def from_checked(
+        cls,
+        ends: tuple[np.ndarray, ...],
+        measurement: Any,
+        information: np.ndarray,
+        source: np.ndarray,
+    ) -> LoopClosures:
+        """From NumPy arrays and NumPy-backed transforms that were validated before.
+
+        Args:
+            ends: `robot_a`, `pose_a`, `robot_b`, `pose_b`.
+            measurement: as the attribute of that name.
+            information: likewise.
+            source: likewise.
+        """
+        a, i, b, k = (device_array(end, np.int32) for end in ends)
+        return cls(a, i, b, k, lie.as_device(measurement), device_array(information), source)
+
+    @classmethod
+    def empty(cls, group: type[Any]) -> LoopClosures:
+        """No closures, of a group."""
+        d = lie.tangent_dim(group)
+        none = np.zeros(0, np.int32)
+        return cls.from_checked(
+            (none,) * 4, lie.identity(group, (0,)), np.zeros((0, d, d)), np.zeros(0, object)
+        )
+
+
+def robot_indices(maps: Sequence[PoseGraph], robots: Any, argument: str) -> np.ndarray:
+    """int32 `[m]` from indices or names of robots.
+
+    Raises:
+        InputError: for a robot that is not there.
+    """
+    values = np.asarray(robots)
+    if values.size and values.dtype.kind not in "UO":
+        return validation.as_indices(values, len(maps), argument, "robots")
+    known = {graph.name: index for index, graph in enumerate(maps)}
+    names = [str(name) for name in values]
+    missing = np.array([name not in known for name in names], bool)
+    validation.raise_first(
+        missing,
+        argument_fault(argument),
+        lambda row: f"there is no robot {names[row]!r}, expected one of {', '.join(known)}",
+    )
+    return np.array([known[name] for name in names], np.int32)
+
+
+def pose_indices(
+    maps: Sequence[PoseGraph], robots: np.ndarray, ids: Any, fault: validation.Fault
+) -> np.ndarray:
+    """int32 `[m]`: the index of the pose with each id in its robot's map.
+
+    Raises:
+        InputError: through `fault`, for an id that is not there.
+    """
+    wanted = np.asarray(ids)
+    if wanted.shape != robots.shape or (wanted.size and wanted.dtype.kind not in "iu"):
+        raise fault(0, f"{wanted.dtype} {wanted.shape} given, expected integers {robots.shape}")
+    poses, missing = np.zeros(len(robots), np.int32), np.zeros(len(robots), bool)
+    for robot in np.unique(robots):
+        rows = np.flatnonzero(robots == robot)
+        poses[rows], missing[rows] = _find(maps[robot].ids, wanted[rows].astype(np.int64))
+    validation.raise_first(
+        missing,
+        fault,
+        lambda row: f"robot {maps[robots[row]].name!r} has no pose with id {wanted[row]}",
+    )
+    return poses
+
+
+def _find(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of `wanted` in `known`, and which of them are not there."""
+    if symbols.are_symbols(known) and not symbols.letters_of(wanted).any():
+        known = symbols.indices_of(known)
+    order = np.argsort(known)
+    slot = np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)
+    found = order[slot]
+    return found, known[found] != wanted
+
+
+def _flatten(closures: LoopClosures) -> tuple[tuple[Any, ...], None]:
+    return tuple(getattr(closures, field) for field in TRACED), None
+
+
+def _flatten_with_keys(closures: LoopClosures) -> tuple[tuple[Any, ...], None]:
+    keys = (jax.tree_util.GetAttrKey(field) for field in TRACED)
+    return tuple(zip(keys, _flatten(closures)[0], strict=True)), None
+
+
+jax.tree_util.register_pytree_with_keys(
+    LoopClosures, _flatten_with_keys, lambda _, children: LoopClosures(*children), _flatten
+)

@@ -1,0 +1,165 @@
+"""Checks of a pose graph's arrays, vectorised, on the host.
+
+Every check names its first culprit through a `Fault`: a callable that turns a row and a problem
+into the exception to raise. Arrays given by a user are named `information[3]`; the file readers
+pass one that names `file:line` instead.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from pcm_jax.errors import InputError, InputWarning
+
+Fault = Callable[[int, str], InputError]
+
+SYMMETRY_TOLERANCE = 1e-6  # of the matrix's largest entry
+ROTATION_TOLERANCE = 1e-3  # of a quaternion's norm, or of a rotation matrix's entries
+CLIP = 1e-9  # of the largest eigenvalue: what `repair="clip"` raises the others to
+
+
+def argument_fault(argument: str) -> Fault:
+    """A `Fault` that names a row of an argument."""
+    return lambda row, problem: InputError(f"{argument}[{row}]: {problem}")
+
+
+def raise_first(culprits: Any, fault: Fault, problem: Callable[[int], str]) -> None:
+    """Raises `fault(row, problem(row))` for the first true entry of `culprits` `[n]`, if any."""
+    if culprits.any():
+        row = int(np.argmax(culprits))
+        raise fault(row, problem(row))
+
+
+def check_finite(values: np.ndarray, fault: Fault) -> None:
+    """Every number of `values` `[n, ...]` is finite."""
+    rows = values.reshape(len(values), -1) if values.size else np.zeros((len(values), 1))
+    finite = np.isfinite(rows)
+
+    def problem(row: int) -> str:
+        return f"{rows[row][~finite[row]][0]} is not a finite number"
+
+    raise_first(~finite.all(axis=1), fault, problem)
+
+
+def as_indices(values: Any, count: int, argument: str, of: str) -> np.ndarray:
+    """int32 `[m]`, each in 0 … count − 1.
+
+    Args:
+        values: integers `[m]`.
+        count: how many there are to choose from.
+        argument: the name to use in messages.
+        of: what is counted, in the plural.
+
+    Raises:
+        InputError: for another shape, for values that are not integers, and for one out of range.
+    """
+    indices = np.asarray(values)
+    if indices.ndim != 1:
+        raise InputError(f"{argument}: shape {indices.shape} given, expected [m]")
+    if indices.size and not np.issubdtype(indices.dtype, np.integer):
+        raise InputError(f"{argument}: {indices.dtype} given, expected integers")
+    raise_first(
+        (indices < 0) | (indices >= count),
+        argument_fault(argument),
+        lambda row: f"index {indices[row]} is not in 0 … {count - 1} (there are {count} {of})",
+    )
+    return indices.astype(np.int32)
+
+
+def check_self_loops(tail: np.ndarray, head: np.ndarray, fault: Fault) -> None:
+    """No edge ends where it starts."""
+    raise_first(
+        tail == head,
+        fault,
+        lambda row: f"edge from pose {tail[row]} to itself, expected two different poses",
+    )
+
+
+def unit_rotations(parameters: np.ndarray, size: int, fault: Fault) -> np.ndarray:
+    """Parameters of transforms with their rotations scaled to unit length.
+
+    Args:
+        parameters: `[n, p]`, the rotation in the first `size` columns (jaxlie's layout).
+        size: 4 for a quaternion, 2 for cosine and sine, 0 where there is no rotation.
+        fault: names the culprit.
+
+    Raises:
+        InputError: through `fault`, for a norm of zero.
+
+    Warns:
+        InputWarning: once, with the number of norms further than 1e-3 from one.
+    """
+    if size == 0:
+        return parameters
+    what = "quaternion" if size == 4 else "cosine and sine"
+    norm = np.sqrt(np.sum(np.square(parameters[:, :size]), axis=1))
+    raise_first(norm == 0.0, fault, lambda _: f"{what} of norm 0, expected norm 1")
+    far = np.abs(norm - 1.0) > ROTATION_TOLERANCE
+    if far.any():
+        row = int(np.argmax(far))
+        message = fault(row, f"{what} of norm {norm[row]:.6g} scaled to norm 1")
+        warnings.warn(InputWarning(f"{message} ({int(far.sum())} such in all)"), stacklevel=2)
+    return np.concatenate([parameters[:, :size] / norm[:, None], parameters[:, size:]], axis=1)
+
+
+def positive_definite(matrices: np.ndarray) -> np.ndarray:
+    """Which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
+    rest = np.array(matrices, dtype=np.float64)
+    good = np.ones(len(rest), bool)
+    for k in range(rest.shape[-1]):
+        pivot = rest[:, k, k]
+        good &= pivot > 0.0
+        column = rest[:, k + 1 :, k] / np.where(good, pivot, np.inf)[:, None]
+        rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * rest[:, None, k, k + 1 :]
+    return good
+
+
+def check_information(matrices: np.ndarray, fault: Fault, what: str = "information") -> np.ndarray:
+    """`[m, d, d]` made exactly symmetric, after checking that it nearly was and is definite.
+
+    Raises:
+        InputError: through `fault`, for a matrix that is not finite, not symmetric (to 1e-6 of its
+            largest entry) or not positive definite.
+    """
+    check_finite(matrices, fault)
+    transposed = np.swapaxes(matrices, -1, -2)
+    largest = np.abs(matrices).max(axis=(-2, -1), initial=0.0)
+    skewed = np.abs(matrices - transposed).max(axis=(-2, -1), initial=0.0)
+    raise_first(
+        skewed > SYMMETRY_TOLERANCE * largest,
+        fault,
+        lambda row: f"{what} is not symmetric: entries differ by {skewed[row]:.3g}",
+    )
+    symmetric = 0.5 * (matrices + transposed)
+    raise_first(
+        ~positive_definite(symmetric),
+        fault,
+        lambda row: (
+            f"{what} is not positive definite (smallest eigenvalue"
+            f" {np.linalg.eigvalsh(symmetric[row])[0]:.6g})"
+        ),
+    )
+    return symmetric
+
+
+def clip_to_definite(matrices: np.ndarray) -> tuple[np.ndarray, int]:
+    """Symmetric `[m, d, d]` with every eigenvalue at least 1e-9 of the matrix's largest one.
+
+    Only matrices without a Cholesky factor are touched.
+
+    Returns:
+        The matrices, and how many were changed.
+    """
+    bad = np.flatnonzero(~positive_definite(matrices))
+    if not bad.size:
+        return matrices, 0
+    values, vectors = np.linalg.eigh(matrices[bad])
+    values = np.maximum(values, CLIP * values[:, -1:])
+    clipped = np.array(matrices)
+    clipped[bad] = (vectors * values[:, None, :]) @ np.swapaxes(vectors, -1, -2)
+    clipped[bad] = 0.5 * (clipped[bad] + np.swapaxes(clipped[bad], -1, -2))
+    return clipped, bad.size
