@@ -1,0 +1,238 @@
+"""From a file's bytes to tables of numbers, with the line each row came from.
+
+Lines are split and converted in bulk; only when that fails are they looked at one by one, to name
+the culprit.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import gzip
+import lzma
+import zlib
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcm_jax.errors import FileFormatError
+from pcm_jax.graph.validation import Fault, check_finite, raise_first
+
+GZIP_MAGIC, XZ_MAGIC = b"\x1f\x8b", b"\xfd7zXZ\x00"
+
+
+def read_lines(path: str | PathLike[str]) -> list[str]:
+    """The lines of a text file, which may be gzip- or xz-compressed (told by its first bytes).
+
+    Raises:
+        FileFormatError: for a file that is missing, unreadable, binary, or compressed and cut
+            short.
+    """
+    data = _decompressed(path, _read_bytes(path))
+    if b"\0" in data:
+        line = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise FileFormatError(path, line, "binary data (a zero byte), expected text")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise FileFormatError(
+            path, line, f"binary data (byte {data[error.start]:#04x}), expected text"
+        ) from None
+    return text.replace("\r\n", "\n").split("\n")
+
+
+def _read_bytes(path: str | PathLike[str]) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise FileFormatError(path, None, "there is no such file") from None
+    except IsADirectoryError:
+        raise FileFormatError(path, None, "this is a folder, expected a file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(path, None, f"cannot be read: {reason}") from None
+
+
+def _decompressed(path: str | PathLike[str], data: bytes) -> bytes:
+    try:
+        if data.startswith(GZIP_MAGIC):
+            return gzip.decompress(data)
+        if data.startswith(XZ_MAGIC):
+            return lzma.decompress(data)
+    except (EOFError, OSError, lzma.LZMAError, zlib.error) as error:
+        raise FileFormatError(
+            path, None, f"damaged or truncated compressed file: {str(error).lower()}"
+        ) from None
+    return data
+
+
+@dataclasses.dataclass(frozen=True)
+class Rows:
+    """The split lines of one kind.
+
+    All words stand in one flat list: a list per line would keep the garbage collector busy for
+    longer than the conversion takes.
+
+    Attributes:
+        path: the file.
+        line: int64 `[n]`, 1-based line numbers.
+        widths: int64 `[n]`, how many words each line has.
+        words: the words of all lines.
+    """
+
+    path: str
+    line: np.ndarray
+    widths: np.ndarray
+    words: list[str]
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @property
+    def fault(self) -> Fault:
+        """Names a row by its file and line."""
+        return line_fault(self.path, self.line)
+
+    @property
+    def source(self) -> np.ndarray:
+        """Object array `[n]` of strings "file:line"."""
+        return sources(self.path, self.line)
+
+    @property
+    def first(self) -> list[str]:
+        """The words of the first row."""
+        return self.words[: self.widths[0]] if len(self) else []
+
+    @property
+    def rest(self) -> Rows:
+        """All rows but the first."""
+        return Rows(self.path, self.line[1:], self.widths[1:], self.words[self.widths[0] :])
+
+    def check_width(self, width: int, expected: str, last_line: int = 0) -> None:
+        """Every row has `width` words; to be called before `column`, `integers` and `floats`.
+
+        Args:
+            width: number of words.
+            expected: the columns, for messages.
+            last_line: the file's last line, at which too few words mean a truncated file.
+
+        Raises:
+            FileFormatError: for the first row that has more or fewer.
+        """
+
+        def problem(row: int) -> str:
+            short = self.widths[row] < width and self.line[row] == last_line
+            hint = " (is the file cut short?)" if short else ""
+            return f"{self.widths[row]} columns, expected {width}: {expected}{hint}"
+
+        raise_first(self.widths != width, self.fault, problem)
+
+    def column(self, index: int) -> list[str]:
+        """The words of one column."""
+        return self.words[index :: self.widths[0]] if len(self) else []
+
+    def integers(self, start: int, stop: int) -> np.ndarray:
+        """Columns `start` to `stop` as int64 `[n, stop - start]`, never by way of floats.
+
+        Raises:
+            FileFormatError: for a word that is not an integer of 64 bits.
+        """
+        return self._converted(start, stop, int, np.int64, "an integer id of 64 bits")
+
+    def floats(self, start: int, stop: int) -> np.ndarray:
+        """Columns `start` to `stop` as float64 `[n, stop - start]`.
+
+        Raises:
+            FileFormatError: for a word that is not a finite number.
+        """
+        table = self._converted(start, stop, float, np.float64, "a number")
+        check_finite(table, self.fault)
+        return table
+
+    def _converted(
+        self, start: int, stop: int, convert: Callable[[str], Any], dtype: Any, expected: str
+    ) -> np.ndarray:
+        table = np.empty((len(self), stop - start), dtype)
+        for index in range(start, stop):
+            words = self.column(index)
+            try:
+                if "_" in "".join(words):  # Python reads 1_0 as 10
+                    raise ValueError
+                table[:, index - start] = list(map(convert, words))
+            except (ValueError, OverflowError):
+                row = next(k for k, word in enumerate(words) if not _fits(word, convert, dtype))
+                problem = f"{words[row][:40]!r} given, expected {expected}"
+                raise self.fault(row, problem) from None
+        return table
+
+
+def _fits(word: str, convert: Callable[[str], Any], dtype: Any) -> bool:
+    try:
+        np.array(convert(word), dtype=dtype)
+    except (ValueError, OverflowError):
+        return False
+    return "_" not in word
+
+
+def line_fault(path: str, line: np.ndarray) -> Fault:
+    """Names a row by its file and line."""
+    return lambda row, problem: FileFormatError(path, int(line[row]), problem)
+
+
+def sources(path: str, line: np.ndarray) -> np.ndarray:
+    """Object array `[n]` of strings "file:line"."""
+    names = np.empty(len(line), dtype=object)
+    names[:] = [f"{path}:{number}" for number in line.tolist()]
+    return names
+
+
+def rows_by_tag(path: str, lines: Sequence[str]) -> tuple[dict[str, Rows], list[str]]:
+    """Splits lines at white space and groups them by their first word.
+
+    Returns:
+        The rows of each first word, in order of appearance; and the comment lines (those that
+        start with "#"). Blank lines are dropped.
+    """
+    words: dict[str, list[str]] = {}
+    widths: dict[str, list[int]] = {}
+    numbers: dict[str, list[int]] = {}
+    comments = []
+    for number, line in enumerate(lines, start=1):
+        row = line.split()
+        if not row:
+            continue
+        tag = row[0]
+        if tag[0] == "#":
+            comments.append(line)
+            continue
+        if tag not in words:
+            words[tag], widths[tag], numbers[tag] = [], [], []
+        words[tag] += row
+        widths[tag].append(len(row))
+        numbers[tag].append(number)
+    return {tag: _rows(path, numbers[tag], widths[tag], words[tag]) for tag in words}, comments
+
+
+def _rows(path: str, numbers: list[int], widths: list[int], words: list[str]) -> Rows:
+    return Rows(path, np.array(numbers, np.int64), np.array(widths, np.int64), words)
+
+
+def csv_rows(path: str, lines: Sequence[str]) -> Rows:
+    """Splits lines at commas; blank lines and those that start with "#" are dropped."""
+    words: list[str] = []
+    widths, numbers = [], []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            row = next(csv.reader([line], skipinitialspace=True))
+        except csv.Error as error:
+            raise FileFormatError(path, number, f"not comma-separated values: {error}") from None
+        words += [word.strip() for word in row]
+        widths.append(len(row))
+        numbers.append(number)
+    return _rows(path, numbers, widths, words)
