@@ -13,6 +13,7 @@ from string import ascii_lowercase
 import jaxlie
 import numpy as np
 
+from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.simulation.measurements import diagonal_covariance, positions, revisits
@@ -114,7 +115,6 @@ def _street_poses(generator: np.random.Generator, poses: int, blocks: int) -> ja
     """True poses `[n]` of one drive, NumPy-backed, in the city's frame."""
     places, headings = drive(generator, crossings=2 + (poses - 2) // _BLOCK + 1, blocks=blocks)
     position, heading = block_poses(places, headings, steps=_BLOCK)
-    quarter = 0.5 * np.pi * heading[:poses, None]
-    return jaxlie.SE2(
-        np.concatenate([np.cos(quarter), np.sin(quarter), _BLOCK * position[:poses]], axis=1)
-    )
+    angle = 0.5 * np.pi * heading[:poses]
+    x, y = _BLOCK * position[:poses].T
+    return lie.from_components(jaxlie.SE2, (np.cos(angle), np.sin(angle), x, y))

@@ -27,7 +27,7 @@ def space_dim(group: Group[Any]) -> int:
 
 def positions(poses: Any) -> Float[np.ndarray, "*batch s"]:
     """Positions `[..., 2]` or `[..., 3]` of NumPy-backed poses: the last of their parameters."""
-    return lie.parameters(poses)[..., -space_dim(lie.group_of(poses)) :]
+    return np.asarray(lie.parameters(poses))[..., -space_dim(lie.group_of(poses)) :]
 
 
 def diagonal_covariance(
