@@ -8,6 +8,7 @@ else reads its files, skips them):
     # pcm_jax robot a index NAME    …; its poses' ids are the keys' indices
     # pcm_jax robot - id NAME       the file's one robot is called NAME
     # pcm_jax id-table FILE         the ids are sequential; FILE beside this one says whose they are
+    # pcm_jax order lines           poses are in the order of their lines, not of their ids
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from pcm_jax.graph import symbols
 
 ROBOT_LINE = "# pcm_jax robot {letter} {kind} {name}"
 TABLE_LINE = "# pcm_jax id-table {file}"
+ORDER_LINE = "# pcm_jax order lines"
 TABLE_COLUMNS = ("vertex", "robot", "id")
 _ROBOT = re.compile(r"# pcm_jax robot (\S) (key|index|id) (.+)")
 _TABLE = re.compile(r"# pcm_jax id-table (\S.*)")

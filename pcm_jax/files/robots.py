@@ -15,11 +15,11 @@ import numpy as np
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files.coordinates import upper_triangle
-from pcm_jax.files.header import Scope
+from pcm_jax.files.header import ORDER_LINE, Scope
 from pcm_jax.files.pose_file import Lines, PoseFile
 from pcm_jax.files.text import sources
 from pcm_jax.graph import symbols
-from pcm_jax.graph.loop_closures import LoopClosures
+from pcm_jax.graph.loop_closures import LoopClosures, find
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.spanning_tree import check_connected, spanning_tree_poses
 from pcm_jax.graph.validation import Fault, raise_first
@@ -92,11 +92,14 @@ def assemble(
     _check_robots(edges)
     edges = edges[first_copies(edges)]
     inside = edges.robot[:, 0] == edges.robot[:, 1]
+    in_order = any(ORDER_LINE in file.comments for file in files)
     maps = []
     for robot, name in enumerate(robots.values()):
         own = edges[inside & (edges.robot[:, 0] == robot)]
         named = edges.ids[edges.robot == robot]
-        maps.append(_map(vertices[vertices.robot[:, 0] == robot], own, named, name))
+        mine = vertices[vertices.robot[:, 0] == robot]
+        ids = _pose_order(mine.ids[:, 0], in_order) if len(mine) else np.unique(named)
+        maps.append(_map(mine, own, ids, name))
     return tuple(maps), _closures(edges[~inside], maps)
 
 
@@ -213,16 +216,21 @@ def _same_numbers(table: Table, row: int, other: int, information: bool = True) 
     )
 
 
-def _map(vertices: Table, edges: Table, named: np.ndarray, name: str) -> PoseGraph:
-    """One robot's map, its poses in the order of their ids.
+def _pose_order(ids: np.ndarray, in_order: bool) -> np.ndarray:
+    """The different ids of vertices: ascending, or in the order of their lines."""
+    unique, first = np.unique(ids, return_index=True)
+    return unique[np.argsort(first)] if in_order else unique
+
+
+def _map(vertices: Table, edges: Table, ids: np.ndarray, name: str) -> PoseGraph:
+    """One robot's map.
 
     Args:
         vertices: the robot's; none for files that have edges only.
         edges: those between the robot's own poses.
-        named: the ids that edges of any kind give to the robot's poses.
+        ids: its poses' ids, in the order to be.
         name: the robot's.
     """
-    ids = np.unique(vertices.ids[:, 0] if len(vertices) else named)
     tail, head = (positions(ids, edges, end) for end in (0, 1))
     group: Any = jaxlie.SE2 if edges.transforms.shape[1] == 4 else jaxlie.SE3
     measurement = group(edges.transforms)
@@ -254,7 +262,7 @@ def _map(vertices: Table, edges: Table, named: np.ndarray, name: str) -> PoseGra
 
 def _unrepeated(vertices: Table, ids: np.ndarray) -> np.ndarray:
     """The parameters of the vertex with each of `ids`; repeated ones must agree."""
-    slot = np.searchsorted(ids, vertices.ids[:, 0])
+    slot, _ = find(ids, vertices.ids[:, 0])
     first = np.full(len(ids), len(vertices))
     np.minimum.at(first, slot, np.arange(len(vertices)))
     original = first[slot]
@@ -270,15 +278,15 @@ def _unrepeated(vertices: Table, ids: np.ndarray) -> np.ndarray:
 
 
 def positions(ids: np.ndarray, edges: Table, end: int) -> np.ndarray:
-    """int64 `[k]`: where in the ascending `ids` the ends 0 or 1 of edges are.
+    """Where in `ids` the ends 0 or 1 of edges are, int64 `[k]`.
 
     Raises:
         FileFormatError: for an edge to a vertex that does not exist.
     """
     wanted = edges.ids[:, end]
-    slot = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    slot, missing = find(ids, wanted)
     raise_first(
-        ids[slot] != wanted,
+        missing,
         edges.fault,
         lambda row: f"edge to pose {pose_text(wanted[row])}, which no VERTEX line defines",
     )

@@ -221,18 +221,31 @@ def _rows(path: str, numbers: list[int], widths: list[int], words: list[str]) ->
     return Rows(path, np.array(numbers, np.int64), np.array(widths, np.int64), words)
 
 
+def table_rows(path: str, lines: Sequence[str]) -> Rows:
+    """Splits lines at white space; blank lines and those that start with "#" are dropped."""
+    return _split_rows(path, lines, str.split)
+
+
 def csv_rows(path: str, lines: Sequence[str]) -> Rows:
     """Splits lines at commas; blank lines and those that start with "#" are dropped."""
+
+    def split(line: str) -> list[str]:
+        return [word.strip() for word in next(csv.reader([line], skipinitialspace=True))]
+
+    return _split_rows(path, lines, split)
+
+
+def _split_rows(path: str, lines: Sequence[str], split: Callable[[str], list[str]]) -> Rows:
     words: list[str] = []
     widths, numbers = [], []
     for number, line in enumerate(lines, start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            row = next(csv.reader([line], skipinitialspace=True))
+            row = split(line)
         except csv.Error as error:
             raise FileFormatError(path, number, f"not comma-separated values: {error}") from None
-        words += [word.strip() for word in row]
+        words += row
         widths.append(len(row))
         numbers.append(number)
     return _rows(path, numbers, widths, words)

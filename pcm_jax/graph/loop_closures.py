@@ -277,7 +277,8 @@ def pose_indices(
     poses, missing = np.zeros(len(robots), np.int32), np.zeros(len(robots), bool)
     for robot in np.unique(robots):
         rows = np.flatnonzero(robots == robot)
-        poses[rows], missing[rows] = _find(maps[robot].ids, wanted[rows].astype(np.int64))
+        known = maps[robot].ids
+        poses[rows], missing[rows] = find(known, _as_keys(known, wanted[rows].astype(np.int64)))
     validation.raise_first(
         missing,
         fault,
@@ -286,10 +287,16 @@ def pose_indices(
     return poses
 
 
-def _find(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of `wanted` in `known`, and which of them are not there."""
-    if symbols.are_symbols(known) and not symbols.letters_of(wanted).any():
-        known = symbols.indices_of(known)
+def _as_keys(known: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The ids wanted, with indices made keys where a robot's ids are symbol keys."""
+    if not symbols.are_symbols(known):
+        return wanted
+    index = (wanted >= 0) & (wanted < symbols.INDEX_LIMIT)
+    return np.where(index, symbols.keys(chr(symbols.letters_of(known)[0]), wanted), wanted)
+
+
+def find(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where in `known` each of `wanted` is, and which of them are not there."""
     order = np.argsort(known)
     slot = np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)
     found = order[slot]

@@ -19,6 +19,7 @@ Fault = Callable[[int, str], InputError]
 
 SYMMETRY_TOLERANCE = 1e-6  # of the matrix's largest entry
 ROTATION_TOLERANCE = 1e-3  # of a quaternion's norm, or of a rotation matrix's entries
+LARGEST = 1e100  # products of a few such numbers still are float64
 CLIP = 1e-9  # of the largest eigenvalue: what `repair="clip"` raises the others to
 
 
@@ -35,12 +36,14 @@ def raise_first(culprits: Any, fault: Fault, problem: Callable[[int], str]) -> N
 
 
 def check_finite(values: np.ndarray, fault: Fault) -> None:
-    """Every number of `values` `[n, ...]` is finite."""
+    """Every number of `values` `[n, ...]` is finite, and small enough for its square to be."""
     rows = values.reshape(len(values), -1) if values.size else np.zeros((len(values), 1))
-    finite = np.isfinite(rows)
+    finite = np.abs(rows) <= LARGEST
 
     def problem(row: int) -> str:
-        return f"{rows[row][~finite[row]][0]} is not a finite number"
+        value = rows[row][~finite[row]][0]
+        limit = f" below {LARGEST:g}" if np.isfinite(value) else ""
+        return f"{value:g} given, expected a finite number{limit}"
 
     raise_first(~finite.all(axis=1), fault, problem)
 

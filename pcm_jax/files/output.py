@@ -1,0 +1,47 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import gzip
+import lzma
+import os
+from os import PathLike
+from pathlib import Path
+
+from pcm_jax.errors import FileFormatError
+
+
+def write_text(path: str | PathLike[str], text: str) -> None:
+    """Writes a temporary file beside `path` and moves it there; `.gz` and `.xz` compress.
+
+    Raises:
+        FileFormatError: for a folder that does not exist, or cannot be written to.
+    """
+    target = Path(path)
+    data = _compressed(target.suffix, text.encode())
+    if not target.parent.is_dir():
+        raise FileFormatError(target, None, f"there is no folder {target.parent} to write to")
+    if target.is_dir():
+        raise FileFormatError(target, None, "this is a folder, expected a file to write to")
+    try:
+        if target.exists() and not target.is_file():
+            target.write_bytes(data)  # a device or pipe must not be replaced by a file
+        else:
+            _replace(target, data)
+    except OSError as error:
+        raise FileFormatError(target, None, f"cannot be written: {error.strerror}") from None
+
+
+def _replace(target: Path, data: bytes) -> None:
+    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _compressed(suffix: str, data: bytes) -> bytes:
+    if suffix == ".gz":
+        return gzip.compress(data, mtime=0)
+    return lzma.compress(data) if suffix == ".xz" else data
