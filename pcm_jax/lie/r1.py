@@ -45,6 +45,11 @@ def adjoint(_: Element) -> tuple[tuple[Any, ...], ...]:
     return ((1.0,),)
 
 
+def adjoint_sandwich(_: Element, symmetric: Any) -> Any:
+    """The variance itself."""
+    return symmetric
+
+
 def right_jacobian(_: Tangent) -> tuple[tuple[Any, ...], ...]:
     """One."""
     return ((1.0,),)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pcm_jax.lie import angle
+from pcm_jax.lie import angle, unrolled
 from pcm_jax.lie.angle import namespace
 
 PARAMETERS_DIM = 4
@@ -17,7 +17,7 @@ MATRIX_DIM = 3
 
 Element = tuple[Any, Any, Any, Any]
 Tangent = tuple[Any, Any, Any]
-Entries = tuple[tuple[Any, ...], ...]
+Entries = unrolled.Matrix
 
 
 def identity() -> Element:
@@ -76,6 +76,11 @@ def adjoint(a: Element) -> Entries:
     """Ad with a exp(δ) a⁻¹ = exp(Ad δ)."""
     cos, sin, x, y = a
     return ((cos, -sin, y), (sin, cos, -x), (0.0, 0.0, 1.0))
+
+
+def adjoint_sandwich(a: Element, symmetric: Entries) -> Entries:
+    """Ad S Adᵀ: a covariance of right perturbations of a as one of left perturbations."""
+    return unrolled.sandwich(adjoint(a), symmetric)
 
 
 def right_jacobian(tangent: Tangent) -> Entries:

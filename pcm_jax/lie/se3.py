@@ -128,6 +128,17 @@ def adjoint(a: Element) -> Entries:
     return _dual(rotation, lever)
 
 
+def adjoint_sandwich(a: Element, symmetric: Entries) -> Entries:
+    """Ad S Adᵀ: a covariance of right perturbations of a as one of left perturbations.
+
+    Rotation first, lever arm second: a quarter fewer products than with the 6x6 adjoint.
+    """
+    rotation, zero, one = rotation_matrix(a), ((0.0,) * 3,) * 3, unrolled.identity(3)
+    turn = unrolled.block([[rotation, zero], [zero, rotation]])
+    lever = unrolled.block([[one, unrolled.skew(a[4:])], [zero, one]])
+    return unrolled.sandwich(lever, unrolled.sandwich(turn, symmetric))
+
+
 def _dual(diagonal: Entries, corner: Entries) -> Entries:
     zero = ((0.0,) * 3,) * 3
     return unrolled.block([[diagonal, corner], [zero, diagonal]])

@@ -38,6 +38,12 @@ _FIELDS = {jaxlie.SE2: "unit_complex_xy", jaxlie.SE3: "wxyz_xyz", R1: "x"}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def own_precision(tree: Any) -> contextlib.AbstractContextManager[Any]:
+    """A scope with 64-bit types enabled if `tree` holds any array of them, else an empty one."""
+    wide = any(getattr(leaf, "dtype", None) == np.float64 for leaf in jax.tree.leaves(tree))
+    return jax.enable_x64(True) if wide else contextlib.nullcontext()
+
+
 def _jit_unless_numpy(function: F) -> F:
     """Runs `function` in NumPy when all its arrays are NumPy's, else as one compiled JAX function.
 
@@ -49,11 +55,9 @@ def _jit_unless_numpy(function: F) -> F:
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         leaves = jax.tree.leaves((args, kwargs))
-        arrays = [leaf for leaf in leaves if not isinstance(leaf, type)]
-        if all(isinstance(array, np.ndarray) for array in arrays):
+        if all(isinstance(leaf, np.ndarray | type) for leaf in leaves):
             return function(*args, **kwargs)
-        wide = any(getattr(array, "dtype", None) == np.float64 for array in arrays)
-        with jax.enable_x64(True) if wide else contextlib.nullcontext():
+        with own_precision(leaves):
             return jitted(*args, **kwargs)
 
     return wrapper  # type: ignore[return-value]

@@ -1,0 +1,34 @@
+"""Step ii of the paper: which pairs of inter-robot closures agree with each other?
+
+Two closures between the same two robots close a loop: out along one, through one map, back along
+the other, and home through the other map. If both are right, the loop's error is what the
+uncertainty of the measurements and of the two maps explains. So, for every pair,
+
+1. `consistency_problem` gathers on the host what the maps say of the poses the closures touch:
+   where they are, and their joint covariance;
+2. `squared_mahalanobis` weighs each pair's loop error by its covariance (eq. 4 of the paper,
+   squared: what follows a chi-squared distribution);
+3. `chi2_gate` says how large that may be for two right closures;
+4. `consistency_graph` keeps an edge where a pair passes in both directions.
+
+The largest set of closures that all agree, step iii, is the largest clique of that graph.
+
+`squared_mahalanobis_of` does step 2 for any residual of two measurements.
+"""
+
+from pcm_jax.consistency.gate import chi2_gate
+from pcm_jax.consistency.graph import consistency_graph, to_networkx
+from pcm_jax.consistency.loop_error import loop_error, squared_mahalanobis_of
+from pcm_jax.consistency.mahalanobis import squared_mahalanobis
+from pcm_jax.consistency.problem import ConsistencyProblem, consistency_problem
+
+__all__ = [
+    "ConsistencyProblem",
+    "chi2_gate",
+    "consistency_graph",
+    "consistency_problem",
+    "loop_error",
+    "squared_mahalanobis",
+    "squared_mahalanobis_of",
+    "to_networkx",
+]

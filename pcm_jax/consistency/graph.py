@@ -1,0 +1,69 @@
+"""The consistency graph: closures as nodes, an edge between two that agree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from pcm_jax.errors import InputError
+from pcm_jax.precision import device_array
+
+if TYPE_CHECKING:
+    import networkx as nx
+
+
+def consistency_graph(squared: Float[Array, "*batch m m"], gate: Any) -> Bool[Array, "*batch m m"]:
+    """Adjacency matrix: closures u and v agree if q²_uv and q²_vu are both within the gate.
+
+    Args:
+        squared: squared distances, `[u, v]` not necessarily equal to `[v, u]`. NaN agrees with
+            nothing.
+        gate: γ², see `chi2_gate`.
+
+    Returns:
+        Symmetric, the diagonal false; NumPy for NumPy, else JAX, safe under jit and vmap.
+
+    Raises:
+        InputError: when `squared` is not square.
+    """
+    if squared.ndim < 2 or squared.shape[-1] != squared.shape[-2]:
+        raise InputError(f"squared: shape {tuple(squared.shape)}; expected [m, m]")
+    if isinstance(squared, Tracer) or isinstance(gate, Tracer):
+        return _within_both_ways(squared, gate, jnp)
+    # Concrete arrays by NumPy: eager JAX would compile for every number of closures.
+    graph = _within_both_ways(np.asarray(squared), np.asarray(gate), np)
+    return graph if isinstance(squared, np.ndarray) else device_array(graph, np.bool_)
+
+
+def _within_both_ways(squared: Any, gate: Any, xp: Any) -> Any:
+    within = squared <= gate
+    return within & xp.swapaxes(within, -1, -2) & ~xp.eye(squared.shape[-1], dtype=bool)
+
+
+def to_networkx(
+    graph: Bool[Array, "m m"], squared: Float[Array, "m m"] | None = None
+) -> nx.Graph[int]:
+    """The consistency graph as a networkx graph, nodes 0 … m − 1.
+
+    Args:
+        graph: adjacency matrix, see `consistency_graph`.
+        squared: squared distances. If given, every edge has the larger of its two directions as
+            the attribute `squared`.
+    """
+    import networkx as nx
+
+    result: nx.Graph[int] = nx.Graph()
+    result.add_nodes_from(range(len(graph)))
+    u, v = np.nonzero(np.triu(np.asarray(graph), 1))
+    if squared is None:
+        result.add_edges_from(zip(u.tolist(), v.tolist(), strict=True))
+        return result
+    values = np.asarray(squared)
+    larger = np.maximum(values, values.T)[u, v]
+    edges = zip(u.tolist(), v.tolist(), larger.tolist(), strict=True)
+    result.add_weighted_edges_from(edges, weight="squared")
+    return result

@@ -1,0 +1,157 @@
+"""The definition: the loop error of a pair of closures and its covariance (paper, eq. 4).
+
+    ε_uv = Log( z_u⁻¹ · x_ij · z_v · x_lk ),   Σ_uv = J blkdiag(Σ_zu, Σ_ij, Σ_zv, Σ_lk) Jᵀ,
+    q²_uv = ε_uvᵀ Σ_uv⁻¹ ε_uv
+
+with closure u from pose i to pose k, closure v from j to l, x_ij the pose of j seen from i, x_lk
+that of k seen from l. J is taken by automatic differentiation with respect to right perturbations,
+at δ = 0. This is the specification that `closed_form` is tested against, and the path for a
+residual of one's own (`squared_mahalanobis_of`).
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+from jaxtyping import Array, Float
+
+from pcm_jax import lie
+from pcm_jax.consistency.problem import ConsistencyProblem
+from pcm_jax.lie import unrolled
+
+# Pairs differentiated in one batch: bounds memory, large enough to be efficient.
+PAIRS_AT_ONCE = 1 << 15
+
+
+def loop_error(z_u: Any, x_ij: Any, z_v: Any, x_lk: Any) -> Float[Array, " d"]:
+    """ε = Log(z_u⁻¹ x_ij z_v x_lk): zero when the two closures agree (paper, eq. 4).
+
+    Args:
+        z_u: closure u, pose k of map b seen from pose i of map a.
+        x_ij: pose j of map a seen from pose i.
+        z_v: closure v, pose l of map b seen from pose j of map a.
+        x_lk: pose k of map b seen from pose l.
+    """
+    return lie.log(lie.compose(lie.compose(lie.inverse(z_u), x_ij), lie.compose(z_v, x_lk)))
+
+
+def squared_error(
+    residual: Callable[..., Any], arguments: Sequence[Any], covariances: Sequence[Any]
+) -> Float[Array, ""]:
+    """εᵀ Σ⁻¹ ε of ε = residual(*arguments), Σ propagated to first order.
+
+    Args:
+        residual: maps the arguments to a vector.
+        arguments: pytrees with independent errors. Lie leaves are perturbed on the right, arrays
+            by addition.
+        covariances: `[n, n]` for each argument, over its leaves' perturbations in order.
+    """
+    sizes = [covariance.shape[-1] for covariance in covariances]
+    splits = list(itertools.accumulate(sizes))[:-1]
+
+    def perturbed(delta: Any) -> Any:
+        moved = map(_retract, arguments, jnp.split(delta, splits))
+        return residual(*moved)
+
+    error = residual(*arguments)
+    jacobian = jax.jacfwd(perturbed)(jnp.zeros(sum(sizes), error.dtype))
+    covariance = jacobian @ jax.scipy.linalg.block_diag(*covariances) @ jacobian.T
+    factor = jax.scipy.linalg.cho_factor(covariance, lower=True)
+    return error @ jax.scipy.linalg.cho_solve(factor, error)
+
+
+def _is_lie(node: Any) -> bool:
+    return isinstance(node, jaxlie.MatrixLieGroup)
+
+
+def _retract(tree: Any, delta: Float[Array, " n"]) -> Any:
+    """Every leaf of `tree` moved by its part of `delta`."""
+    leaves, structure = jax.tree.flatten(tree, is_leaf=_is_lie)
+    moved, start = [], 0
+    for leaf in leaves:
+        size = lie.tangent_dim(leaf) if _is_lie(leaf) else leaf.size
+        part = delta[start : start + size]
+        start += size
+        if _is_lie(leaf):
+            moved.append(lie.compose(leaf, lie.exp(lie.group_of(leaf), part)))
+        else:
+            moved.append(leaf + part.reshape(leaf.shape))
+    return jax.tree.unflatten(structure, moved)
+
+
+def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Float[Array, "m m"]:
+    """`pair(u, v)` for all indices below `count`, by vmap, a few rows at a time; diagonal zero."""
+    indices = jnp.arange(count)
+    row = jax.vmap(pair, in_axes=(None, 0))
+    rows_at_once = max(1, PAIRS_AT_ONCE // max(count, 1))
+    values = jax.lax.map(lambda u: row(u, indices), indices, batch_size=rows_at_once)
+    return jnp.where(jnp.eye(count, dtype=bool), 0.0, values)
+
+
+def jacfwd_kernel(problem: ConsistencyProblem) -> Float[Array, "m m"]:
+    """q² of all ordered pairs by the definition; padding is computed like anything else."""
+    count = problem.valid.shape[0]
+
+    def relative_covariance(packed: Any, rows: Any, u: Any, v: Any, frame: Any) -> Any:
+        """Covariance of the right perturbation of a relative pose that ends at `frame`.
+
+        With X_i → exp(ξ_i) X_i it is x_ij → x_ij exp(Ad(X_j⁻¹)(ξ_j − ξ_i)).
+        """
+        entries = unrolled.unpack(packed[:, rows[u], rows[v]])
+        adjoint = lie.adjoint(lie.inverse(frame))
+        return adjoint @ jnp.stack([jnp.stack(row) for row in entries]) @ adjoint.T
+
+    def pair(u: Any, v: Any) -> Any:
+        z_u, z_v = lie.take(problem.measurement, u), lie.take(problem.measurement, v)
+        x_i, x_j = lie.take(problem.pose_a, u), lie.take(problem.pose_a, v)
+        y_k, y_l = lie.take(problem.pose_b, u), lie.take(problem.pose_b, v)
+        covariances = (
+            problem.measurement_covariance[u],
+            relative_covariance(problem.relative_covariance_a, problem.row_a, u, v, x_j),
+            problem.measurement_covariance[v],
+            relative_covariance(problem.relative_covariance_b, problem.row_b, v, u, y_k),
+        )
+        arguments = (z_u, lie.between(x_i, x_j), z_v, lie.between(y_l, y_k))
+        return squared_error(loop_error, arguments, covariances)
+
+    return all_pairs(pair, count)
+
+
+def squared_mahalanobis_of(
+    residual: Callable[[Any, Any], Float[Array, " r"]],
+    measurements: Any,
+    covariances: Float[Array, "m n n"],
+) -> Float[Array, "m m"]:
+    """Squared Mahalanobis distances of any residual of two measurements.
+
+    `[u, v]` is εᵀ Σ⁻¹ ε of ε = residual(z_u, z_v), with Σ = J_u Σ_u J_uᵀ + J_v Σ_v J_vᵀ by
+    automatic differentiation; the diagonal is zero. For measurements x_u of one number on the line:
+
+        squared_mahalanobis_of(lambda u, v: lie.log(lie.between(u, v)), lie.R1(x), variance)
+
+    Args:
+        residual: of two measurements, each one element of `measurements`, to a vector.
+        measurements: pytree whose leaves have a leading axis m. Lie leaves have errors on the
+            right, z exp(δ), arrays additive ones.
+        covariances: of the errors of each measurement, over its leaves in order, n in all.
+
+    Returns:
+        Not symmetrised, in the dtype of the inputs; safe under jit, vmap and grad.
+    """
+    with lie.own_precision((measurements, covariances)):
+        return _all_pairs_of(residual, measurements, covariances)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _all_pairs_of(residual: Any, measurements: Any, covariances: Any) -> Any:
+    def pair(u: Any, v: Any) -> Any:
+        both = [jax.tree.map(lambda leaf, k=k: leaf[k], measurements) for k in (u, v)]
+        return squared_error(residual, both, (covariances[u], covariances[v]))
+
+    return all_pairs(pair, covariances.shape[0])

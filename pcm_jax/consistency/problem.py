@@ -1,0 +1,246 @@
+"""What Q needs to know of two maps and the closures between them: host code, float64.
+
+A closure u measures pose k of map b from pose i of map a. Q depends on the maps only through the
+poses that closures touch and through the covariance of the *differences* of their errors,
+
+    G_ij = Σ_ii + Σ_jj − Σ_ij − Σ_ji,        Σ the joint covariance of all touched poses.
+
+The errors are left perturbations in the map's frame, `exp(ξ_i) X_i`, so that ξ_j − ξ_i is what
+moves pose j against pose i, and an error common to the whole map (the choice of a gauge) cancels.
+G is built here, in float64, because it is a small difference of large numbers. For the same reason
+each map's origin is first moved to the mean of its touched poses, which changes no q.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from pcm_jax import lie, padding
+from pcm_jax.errors import InputError
+from pcm_jax.lie import unrolled
+from pcm_jax.precision import device_array, in_float64
+
+if TYPE_CHECKING:
+    from pcm_jax.graph import LoopClosures, PoseGraph
+
+SYMMETRY_TOLERANCE = 1e-6  # of the largest entry
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ConsistencyProblem:
+    """The closures between two robots, and the uncertainty of the maps they join.
+
+    A pytree of arrays of padded sizes: `m` closures, `ka` and `kb` touched poses are rounded up to
+    a few sizes, so that robot pairs share compilations. Padded closures repeat the last one.
+
+    Attributes:
+        measurement: Lie `[m]`, z_u: pose b seen from pose a.
+        measurement_covariance: `[m, d, d]` of δ in z exp(δ); m², m rad, rad².
+        pose_a: Lie `[m]`, the optimised pose in map a that each closure starts at, in the frame of
+            map a with its origin moved to the mean of the touched poses.
+        pose_b: Lie `[m]`, the one in map b that each closure ends at, likewise.
+        row_a: int32 `[m]`, the row of that pose in `relative_covariance_a`.
+        row_b: int32 `[m]`, likewise.
+        relative_covariance_a: `[d(d+1)/2, ka, ka]`, G of map a: for rows i and j the covariance of
+            ξ_j − ξ_i, left perturbations in the frame of `pose_a`. Entries are the lower triangle,
+            row by row. Rows come in the order in which closures first touch the poses.
+        relative_covariance_b: `[d(d+1)/2, kb, kb]`, likewise.
+        valid: bool `[m]`, false for padding.
+    """
+
+    measurement: Any
+    measurement_covariance: Float[Array, "m d d"]
+    pose_a: Any
+    pose_b: Any
+    row_a: Int[Array, " m"]
+    row_b: Int[Array, " m"]
+    relative_covariance_a: Float[Array, "packed ka ka"]
+    relative_covariance_b: Float[Array, "packed kb kb"]
+    valid: Bool[Array, " m"]
+
+
+@in_float64
+def consistency_problem(
+    map_a: PoseGraph,
+    map_b: PoseGraph,
+    closures: LoopClosures,
+    *,
+    marginals: tuple[Float[np.ndarray, "ka*d ka*d"], Float[np.ndarray, "kb*d kb*d"]] | None = None,
+) -> ConsistencyProblem:
+    """Gathers what Q needs of two optimised maps and the closures between them.
+
+    Args:
+        map_a: the optimised map of the robot that the closures start at.
+        map_b: the optimised map of the robot that they end at.
+        closures: all from one robot to one other, as `LoopClosures.between` gives them.
+        marginals: joint covariances of the touched poses of each map, if other than
+            `joint_marginal_covariance`'s. Each is a dense float64 matrix with a d x d block per
+            touched pose, the poses in ascending order of index without repetition, for right
+            perturbations `X exp(δ)` in (translation, rotation) order; metres and radians. Any
+            gauge will do. From GTSAM (whose `Pose3` puts rotation first), for SE(3):
+
+                touched = np.unique(closures.pose_a)
+                joint = gtsam.Marginals(graph, values).jointMarginalCovariance(list(touched))
+                order = [3, 4, 5, 0, 1, 2]
+                blocks = [[joint.at(i, j)[np.ix_(order, order)] for j in touched] for i in touched]
+                marginals = (np.block(blocks), ...)
+
+    Returns:
+        Padded arrays on the device, float64.
+
+    Raises:
+        InputError: for closures of several robot pairs, a pose that a map does not have, groups
+            that differ, or marginals of a wrong shape, not finite or not symmetric.
+    """
+    group = _common_group(map_a, map_b, closures)
+    _check_one_pair(closures)
+    side_a, side_b = marginals if marginals is not None else (None, None)
+    a = _one_map(map_a, np.asarray(closures.pose_a), side_a, "pose_a", "marginals[0]")
+    b = _one_map(map_b, np.asarray(closures.pose_b), side_b, "pose_b", "marginals[1]")
+    count = len(lie.parameters(closures.measurement))
+    size = padding.bucket(count)
+    covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
+    if count == 0:
+        d = lie.tangent_dim(group)
+        covariance = np.broadcast_to(np.eye(d), (size, d, d))
+    return ConsistencyProblem(
+        measurement=_padded(lie.as_numpy(closures.measurement), size),
+        measurement_covariance=device_array(padding.pad_leading(covariance, size)),
+        pose_a=_padded(a.poses, size),
+        pose_b=_padded(b.poses, size),
+        row_a=device_array(padding.pad_leading(a.rows, size), np.int32),
+        row_b=device_array(padding.pad_leading(b.rows, size), np.int32),
+        relative_covariance_a=device_array(a.relative_covariance),
+        relative_covariance_b=device_array(b.relative_covariance),
+        valid=device_array(np.arange(size) < count, np.bool_),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _OneMap:
+    """One map's share of a problem, not padded but for `relative_covariance`."""
+
+    poses: Any
+    rows: np.ndarray
+    relative_covariance: np.ndarray
+
+
+def _one_map(
+    pose_graph: PoseGraph, touching: np.ndarray, joint: Any, argument: str, name: str
+) -> _OneMap:
+    poses = lie.as_numpy(pose_graph.poses)
+    _check_indices(touching, len(lie.parameters(poses)), argument)
+    touched, first, rows = np.unique(touching, return_index=True, return_inverse=True)
+    recentred = _recentred(lie.take(poses, touched))
+    if joint is not None:
+        joint = _checked_joint(joint, len(touched) * lie.tangent_dim(poses), name)
+    elif len(touched):
+        from pcm_jax.mapping import joint_marginal_covariance
+
+        joint = joint_marginal_covariance(pose_graph, touched)
+    # In the order of first use, neighbouring closures read neighbouring rows of G.
+    order = np.argsort(first)
+    position = np.argsort(order)
+    size = padding.bucket(len(touched))
+    covariance = relative_covariance(recentred, joint, order, size)
+    return _OneMap(lie.take(recentred, rows), position[rows], covariance)
+
+
+def _recentred(poses: Any) -> Any:
+    """The poses with the mean of their positions as the origin."""
+    values = np.array(lie.parameters(poses))
+    if len(values) == 0:
+        return poses
+    space = lie.module_of(lie.group_of(poses)).MATRIX_DIM - 1
+    values[:, -space:] -= values[:, -space:].mean(axis=0)
+    return lie.group_of(poses)(values)
+
+
+def relative_covariance(
+    poses: Any, joint: Any, order: np.ndarray, size: int
+) -> Float[np.ndarray, "packed size size"]:
+    """G of a set of poses, packed, from the joint covariance of their right perturbations.
+
+    Args:
+        poses: NumPy-backed Lie `[k]`, in the frame that G is wanted in.
+        joint: float64 `[k·d, k·d]`, right perturbations.
+        order: permutation `[k]`, the pose that each row of G stands for.
+        size: rows of the result, at least k; those beyond k are zero.
+    """
+    k, d = len(order), lie.tangent_dim(poses)
+    packed = np.zeros((d * (d + 1) // 2, size, size))
+    if k == 0:
+        return packed
+    adjoint = np.asarray(lie.adjoint(poses))
+
+    def left_multiplied(matrix: np.ndarray) -> np.ndarray:
+        return (adjoint @ matrix.reshape(k, d, k * d)).reshape(k * d, k * d)
+
+    # Ad Σ Adᵀ = Ad (Ad Σ)ᵀ, since Σ is symmetric.
+    left = left_multiplied(left_multiplied(joint).T).reshape(k, d, k, d)
+    for entry, (r, c) in enumerate(unrolled.packed_indices(d)):
+        covariance = left[:, r, :, c]
+        own = np.diagonal(covariance)
+        cross = covariance + covariance.T if r == c else covariance + left[:, c, :, r]
+        packed[entry, :k, :k] = (own[:, None] + own - cross)[np.ix_(order, order)]
+    return packed
+
+
+def _padded(transforms: Any, size: int) -> Any:
+    return lie.as_device(lie.pad_leading(transforms, size))
+
+
+def _common_group(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> Any:
+    group = lie.group_of(closures.measurement)
+    for name, pose_graph in (("map_a", map_a), ("map_b", map_b)):
+        other = lie.group_of(pose_graph.poses)
+        if other is not group:
+            raise InputError(
+                f"{name}: poses are {other.__name__}, expected {group.__name__} like the closures"
+            )
+    return group
+
+
+def _check_one_pair(closures: LoopClosures) -> None:
+    robots = np.stack([np.asarray(closures.robot_a), np.asarray(closures.robot_b)], axis=1)
+    pairs = np.unique(robots, axis=0)
+    if len(pairs) > 1:
+        (a, b), (c, e) = pairs[:2]
+        raise InputError(
+            f"closures: some join robots {a} to {b}, others {c} to {e}; expected one pair in one "
+            "direction, as closures.between(a, b) gives"
+        )
+
+
+def _check_indices(indices: np.ndarray, count: int, argument: str) -> None:
+    outside = np.flatnonzero((indices < 0) | (indices >= count))
+    if outside.size:
+        raise InputError(
+            f"closures.{argument}[{outside[0]}]: pose {indices[outside[0]]} is not in the map; "
+            f"expected 0 to {count - 1}"
+        )
+
+
+def _checked_joint(joint: Any, size: int, name: str) -> np.ndarray:
+    joint = np.asarray(joint, dtype=np.float64)
+    if joint.shape != (size, size):
+        raise InputError(
+            f"{name}: shape {joint.shape}; expected {(size, size)}, a block for each touched pose"
+        )
+    if not np.isfinite(joint).all():
+        row, column = np.argwhere(~np.isfinite(joint))[0]
+        raise InputError(f"{name}[{row}, {column}]: {joint[row, column]}; expected finite numbers")
+    skew = np.abs(joint - joint.T)
+    if skew.size and skew.max() > SYMMETRY_TOLERANCE * np.abs(joint).max():
+        row, column = np.unravel_index(np.argmax(skew), skew.shape)
+        raise InputError(
+            f"{name}[{row}, {column}]: {joint[row, column]} differs from {joint[column, row]} "
+            "across the diagonal; expected a symmetric matrix"
+        )
+    return joint
