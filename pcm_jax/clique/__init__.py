@@ -1,0 +1,11 @@
+"""Maximum cliques (step iii of the paper): which measurements are pairwise consistent.
+
+Knows graphs only, no poses. `maximum_clique` is the entrance; the modules, in the order in which
+it walks through them: `adjacency` (what is a graph), `bounds` (what cannot matter), `heuristic`
+(a first clique), `exact` (a proof), `ties` (which of equals).
+"""
+
+from pcm_jax.clique.maximum import maximum_clique
+from pcm_jax.clique.result import Clique
+
+__all__ = ["Clique", "maximum_clique"]

@@ -1,0 +1,92 @@
+"""What the clique algorithms accept as a graph, checked once at the entrance."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool
+
+from pcm_jax.errors import InputError
+
+if TYPE_CHECKING:
+    import networkx
+
+# Rows compared with columns at a time: a tile and its transpose stay in the second-level cache.
+_TILE = 512
+
+
+def adjacency_matrix(
+    graph: Bool[np.ndarray, "m m"] | Bool[Array, "m m"] | networkx.Graph,
+) -> Bool[np.ndarray, "m m"]:
+    """The graph as a symmetric bool matrix with a false diagonal.
+
+    Args:
+        graph: bool [m, m], symmetric, diagonal ignored (numbers are accepted if all of them are
+            0 or 1); or an undirected `networkx.Graph` with the nodes 0..m-1.
+
+    Returns:
+        bool [m, m], a copy.
+
+    Raises:
+        InputError: not square, not boolean, not symmetric, or other nodes than 0..m-1.
+    """
+    if not isinstance(graph, np.ndarray | jax.Array) and hasattr(graph, "adjacency"):
+        return _of_networkx(graph)
+    values = np.asarray(graph)
+    if values.size == 0 and values.ndim < 3:
+        values = values.reshape(0, 0)
+    if values.ndim != 2 or values.shape[0] != values.shape[1]:
+        raise InputError(f"graph: shape {values.shape}, expected a square matrix [m, m]")
+    adjacency = _as_bool(values)
+    np.fill_diagonal(adjacency, False)
+    _check_symmetric(adjacency)
+    return adjacency
+
+
+def _of_networkx(graph: Any) -> np.ndarray:
+    size = graph.number_of_nodes()
+    if graph.is_directed():
+        raise InputError("graph: is directed, expected an undirected networkx.Graph")
+    if set(graph.nodes) != set(range(size)):
+        stranger = next(node for node in graph.nodes if node not in range(size))
+        raise InputError(f"graph: node {stranger!r}, expected the nodes 0..{size - 1}")
+    adjacency = np.zeros((size, size), bool)
+    if graph.number_of_edges():
+        tail, head = np.array(list(graph.edges()), dtype=np.intp).T
+        adjacency[tail, head] = adjacency[head, tail] = True
+    np.fill_diagonal(adjacency, False)
+    return adjacency
+
+
+def _as_bool(values: np.ndarray) -> np.ndarray:
+    if values.dtype == bool:
+        return values.copy()
+    if values.dtype.kind not in "iuf":
+        raise InputError(f"graph: dtype {values.dtype}, expected bool")
+    neither = (values != 0) & (values != 1)
+    if neither.any():
+        i, j = np.argwhere(neither)[0]
+        raise InputError(f"graph: [{i}, {j}] is {values[i, j]}, expected bool (or 0 and 1)")
+    return values != 0
+
+
+def _check_symmetric(adjacency: np.ndarray) -> None:
+    size = adjacency.shape[0]
+    for row in range(0, size, _TILE):
+        rows = slice(row, row + _TILE)
+        for column in range(row, size, _TILE):
+            columns = slice(column, column + _TILE)
+            if not np.array_equal(adjacency[rows, columns], adjacency[columns, rows].T):
+                break
+        else:
+            continue
+        # Only the first tile row with a difference is searched for the first pair.
+        different = adjacency[rows] != adjacency[:, rows].T
+        i, j = np.argwhere(different)[0]
+        i, j = sorted((int(i) + row, int(j)))
+        raise InputError(
+            f"graph: [{i}, {j}] is {adjacency[i, j]} but [{j}, {i}] is {adjacency[j, i]}, "
+            "expected a symmetric matrix"
+        )
