@@ -227,9 +227,7 @@ def _gate_colors() -> Any:
     from matplotlib.colors import LinearSegmentedColormap
 
     stops = [(0.0, "#03244d"), (0.5, "#2f7fc1"), (0.5, "#c9c2b8"), (1.0, "#faf8f5")]
-    colors = LinearSegmentedColormap.from_list("gate", stops, N=512)
-    colors.set_bad("white")
-    return colors
+    return LinearSegmentedColormap.from_list("gate", stops, N=512).with_extremes(bad="white")
 
 
 def _circle(count: int) -> Float[np.ndarray, "c 2"]:

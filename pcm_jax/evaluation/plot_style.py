@@ -69,7 +69,9 @@ def axes_or_new(ax: Any, size: tuple[float, float] = (5.8, 5.4)) -> Any:
 
 
 def legend_below(ax: Any, columns: int = 3, offset: float = -0.13) -> None:
-    """A legend outside the axes, where it hides nothing."""
+    """A legend outside the axes, where it hides nothing; none where nothing has a label."""
+    if not ax.get_legend_handles_labels()[0]:
+        return
     ax.legend(
         loc="upper center",
         bbox_to_anchor=(0.5, offset),
