@@ -56,14 +56,19 @@ def as_transforms(values: Any, argument: str, fault: Fault | None = None) -> Any
     return group(validation.unit_rotations(rows, rotation_size(group), fault))
 
 
-def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
+def as_floats(values: Any, argument: str, expected: str) -> np.ndarray:
+    """`values` as a float64 array; `InputError` with what was expected where they are none."""
     try:
-        matrices: Any = np.asarray(values, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(
-            f"{argument}: {type(values).__name__} given, expected jaxlie.SE2, jaxlie.SE3 or "
-            "homogeneous matrices [n, 3, 3] or [n, 4, 4]"
+            f"{argument}: {type(values).__name__} given, expected {expected}"
         ) from None
+
+
+def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
+    expected = "jaxlie.SE2, jaxlie.SE3 or homogeneous matrices [n, 3, 3] or [n, 4, 4]"
+    matrices: Any = as_floats(values, argument, expected)
     if matrices.ndim != 3 or matrices.shape[1:] not in ((3, 3), (4, 4)):
         raise InputError(
             f"{argument}: shape {matrices.shape} given, expected homogeneous matrices [n, 3, 3] "
@@ -104,9 +109,10 @@ def as_information(
     if (information is None) == (covariance is None):
         raise InputError("information, covariance: give exactly one of the two")
     argument = "information" if covariance is None else "covariance"
-    matrices = np.asarray(information if covariance is None else covariance, dtype=np.float64)
     group = lie.group_of(transforms)
     d, count = lie.tangent_dim(group), len(lie.parameters(transforms))
+    given = information if covariance is None else covariance
+    matrices = as_floats(given, argument, f"an array {(count, d, d)}")
     if matrices.shape != (count, d, d):
         raise InputError(f"{argument}: shape {matrices.shape} given, expected {(count, d, d)}")
     matrices = validation.check_information(matrices, argument_fault(argument), argument)

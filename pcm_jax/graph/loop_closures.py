@@ -164,7 +164,7 @@ class LoopClosures:
         given = {"robot_a": robot_a, "pose_a": pose_a, "robot_b": robot_b, "pose_b": pose_b}
         ends = []
         for argument, values in given.items():
-            indices = validation.as_indices(values, np.iinfo(np.int32).max, argument, "in all")
+            indices = validation.as_indices(values, None, argument, "")
             if len(indices) != count:
                 raise InputError(
                     f"{argument}: {len(indices)} entries given,"

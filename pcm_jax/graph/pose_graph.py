@@ -138,11 +138,11 @@ class PoseGraph:
                 f"measurement: {lie.group_of(edges).__name__} given,"
                 f" expected {lie.group_of(given).__name__} like the poses"
             )
-        n = 1 + max(np.max(tail, initial=0), np.max(head, initial=0)) if given is None else 0
-        n = n if given is None else len(lie.parameters(given))
+        n = len(lie.parameters(given)) if given is not None else None
         if n == 0:
             raise InputError("poses: none given, expected at least one")
         tail, head = as_edges(tail, head, n, count)
+        n = n or 1 + int(max(tail.max(initial=0), head.max(initial=0)))
         matrices = arrays.as_information(information, covariance, edges, tangent_order)
         ids = arrays.as_ids(ids, n)
         if given is None:
@@ -229,8 +229,8 @@ class PoseGraph:
         )
 
 
-def as_edges(tail: Any, head: Any, n: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Both ends of `count` edges between `n` poses, checked, int32."""
+def as_edges(tail: Any, head: Any, n: int | None, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Both ends of `count` edges between `n` poses (None: as many as they name), checked, int32."""
     tail = validation.as_indices(tail, n, "tail", "poses")
     head = validation.as_indices(head, n, "head", "poses")
     for argument, values in (("tail", tail), ("head", head)):

@@ -72,10 +72,10 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
 
 def _checked_cuts(at: Any, n: int) -> np.ndarray:
     cuts = np.atleast_1d(np.asarray(at))
-    if cuts.ndim != 1 or not np.issubdtype(cuts.dtype, np.integer):
-        raise InputError(f"at: {at!r} given, expected a pose index or a list of them")
     if not cuts.size:
         raise InputError("at: no pose given, expected at least one")
+    if cuts.ndim != 1 or not np.issubdtype(cuts.dtype, np.integer):
+        raise InputError(f"at: {at!r} given, expected a pose index or a list of them")
     if (cuts < 1).any() or (cuts >= n).any():
         culprit = cuts[(cuts < 1) | (cuts >= n)][0]
         raise InputError(f"at: pose {culprit} given, expected 1 … {n - 1} (there are {n} poses)")

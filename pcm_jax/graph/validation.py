@@ -48,12 +48,12 @@ def check_finite(values: np.ndarray, fault: Fault) -> None:
     raise_first(~finite.all(axis=1), fault, problem)
 
 
-def as_indices(values: Any, count: int, argument: str, of: str) -> np.ndarray:
-    """int32 `[m]`, each in 0 … count − 1.
+def as_indices(values: Any, count: int | None, argument: str, of: str) -> np.ndarray:
+    """Indices `[m]` as int32, each in 0 … count − 1.
 
     Args:
         values: integers `[m]`.
-        count: how many there are to choose from.
+        count: how many there are to choose from; None where that is not known yet.
         argument: the name to use in messages.
         of: what is counted, in the plural.
 
@@ -65,10 +65,12 @@ def as_indices(values: Any, count: int, argument: str, of: str) -> np.ndarray:
         raise InputError(f"{argument}: shape {indices.shape} given, expected [m]")
     if indices.size and not np.issubdtype(indices.dtype, np.integer):
         raise InputError(f"{argument}: {indices.dtype} given, expected integers")
+    limit = np.iinfo(np.int32).max if count is None else count
+    known = "" if count is None else f" (there are {count} {of})"
     raise_first(
-        (indices < 0) | (indices >= count),
+        (indices < 0) | (indices >= limit),
         argument_fault(argument),
-        lambda row: f"index {indices[row]} is not in 0 … {count - 1} (there are {count} {of})",
+        lambda row: f"index {indices[row]} is not in 0 … {limit - 1}{known}",
     )
     return indices.astype(np.int32)
 
@@ -113,11 +115,12 @@ def positive_definite(matrices: np.ndarray) -> np.ndarray:
     """Which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
     rest = np.array(matrices, dtype=np.float64)
     good = np.ones(len(rest), bool)
-    for k in range(rest.shape[-1]):
-        pivot = rest[:, k, k]
-        good &= pivot > 0.0
-        column = rest[:, k + 1 :, k] / np.where(good, pivot, np.inf)[:, None]
-        rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * rest[:, None, k, k + 1 :]
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not definite
+        for k in range(rest.shape[-1]):
+            pivot = rest[:, k, k]
+            good &= pivot > 0.0
+            column = rest[:, k + 1 :, k] / np.where(good, pivot, np.inf)[:, None]
+            rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * rest[:, None, k, k + 1 :]
     return good
 
 
