@@ -50,7 +50,8 @@ def maximum_clique(
 
     Raises:
         InputError: a graph that is not a symmetric bool matrix, an unknown method, a negative
-            time limit, squared distances with another method than `"exact"`, of another shape or not finite on an edge.
+            time limit; squared distances of another shape, not finite on an edge, or given with
+            another method than `"exact"`.
     """
     start = perf_counter()
     deadline = start + _checked_limit(time_limit)

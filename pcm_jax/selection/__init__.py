@@ -1,0 +1,12 @@
+"""Which loop closures to believe: the paper's method and those it is compared with.
+
+methods         the registry: `select_from`, on a matrix Q of one's own
+pcm, combinatorial, ransac, scgp     the methods, one short file each
+robot_pairs     `select`, on a multi-robot graph: maps, Q and a method for every robot pair
+"""
+
+from pcm_jax.selection.choice import Choice
+from pcm_jax.selection.methods import METHODS, choose, select_from
+from pcm_jax.selection.robot_pairs import PairSelection, Selection, select
+
+__all__ = ["METHODS", "Choice", "PairSelection", "Selection", "choose", "select", "select_from"]
