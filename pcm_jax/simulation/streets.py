@@ -12,7 +12,11 @@ TURN_PROBABILITY = 0.2
 
 
 def drive(
-    generator: np.random.Generator, *, crossings: int, blocks: int
+    generator: np.random.Generator,
+    *,
+    crossings: int,
+    blocks: int,
+    start: tuple[Int[np.ndarray, "2"], int] | None = None,
 ) -> tuple[Int[np.ndarray, "c 2"], Int[np.ndarray, " c-1"]]:
     """A random drive: straight on, or left or right now and then, never back and never out of town.
 
@@ -20,14 +24,16 @@ def drive(
         generator: source of randomness.
         crossings: how many crossings to pass, the first one included.
         blocks: blocks along each side of the square city.
+        start: the first crossing and the heading to leave it by (if a street leads there); random
+            by default.
 
     Returns:
         Grid coordinates of the crossings, and the heading (quarter turns) between each two.
     """
-    place = generator.integers(0, blocks + 1, size=2)
-    heading = int(generator.integers(4))
+    place, heading = start or (generator.integers(0, blocks + 1, size=2), generator.integers(4))
     places, headings = [place], []
     turns = generator.random(crossings - 1) < TURN_PROBABILITY
+    turns[:1] = False
     left_first = generator.random(crossings - 1) < 0.5
     for turn, left in zip(turns, left_first, strict=True):
         sides = [1, -1] if left else [-1, 1]

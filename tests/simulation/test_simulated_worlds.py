@@ -141,6 +141,12 @@ def test_different_groups_and_random_closures_contradict_each_other(world):
     assert np.mean(loners > stats.chi2.ppf(0.99, d)) > 0.99
 
 
+def test_no_two_groups_share_an_alignment_even_in_a_small_town():
+    town = simulate_city(seed=0, poses=60, inliers=0, aliased_groups=40, aliased_size=1, random=0)
+    squared = pairwise_squared(town, np.arange(40))
+    assert squared.min() > stats.chi2.ppf(0.99, 3)  # on the bare grid of streets, 8 pairs coincide
+
+
 def test_aliased_closures_claim_plausible_ranges_for_places_far_apart(world):
     space = 2 if world.graph.tangent_dim == 3 else 3
     for label in (1, 2, 3):
