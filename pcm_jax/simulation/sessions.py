@@ -127,7 +127,7 @@ def _campus_poses(generator: np.random.Generator, poses: int, sessions: int) -> 
     shortest = _BLOCK - 2.0 * _JITTER - 2.0 * _ROUNDING
     count = 3 + int(np.ceil(poses * _STEP / shortest))
     # All sessions leave one garage by one street: they meet there at least.
-    start = (np.full(2, blocks // 2), generator.integers(4))
+    start = (np.full(2, blocks // 2), int(generator.integers(4)))
     paths = []
     for _ in range(sessions):
         places, _ = drive(generator, crossings=count, blocks=blocks, start=start)

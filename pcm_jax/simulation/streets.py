@@ -16,7 +16,7 @@ def drive(
     *,
     crossings: int,
     blocks: int,
-    start: tuple[Int[np.ndarray, "2"], int] | None = None,
+    start: tuple[np.ndarray, int] | None = None,
 ) -> tuple[Int[np.ndarray, "c 2"], Int[np.ndarray, " c-1"]]:
     """A random drive: straight on, or left or right now and then, never back and never out of town.
 
@@ -24,13 +24,16 @@ def drive(
         generator: source of randomness.
         crossings: how many crossings to pass, the first one included.
         blocks: blocks along each side of the square city.
-        start: the first crossing and the heading to leave it by (if a street leads there); random
+        start: the first crossing (grid coordinates) and the heading to leave it by; random
             by default.
 
     Returns:
         Grid coordinates of the crossings, and the heading (quarter turns) between each two.
     """
-    place, heading = start or (generator.integers(0, blocks + 1, size=2), generator.integers(4))
+    place, heading = start or (
+        generator.integers(0, blocks + 1, size=2),
+        int(generator.integers(4)),
+    )
     places, headings = [place], []
     turns = generator.random(crossings - 1) < TURN_PROBABILITY
     turns[:1] = False
