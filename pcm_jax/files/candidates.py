@@ -23,6 +23,7 @@ from pcm_jax.graph.loop_closures import LoopClosures, pose_indices
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import raise_first
 
+SMALLEST_SIGMA = 1e-30  # so that its information still is a number
 ENDS = ("robot_a", "id_a", "robot_b", "id_b")
 
 
@@ -45,10 +46,15 @@ def read_candidates(
     coordinate = "angle" if maps[0].tangent_dim == 3 else "quaternion"
     measured = COLUMNS[coordinate]
     rows = _without_header(rows, (*ENDS, *measured))
+    if not len(rows):
+        return LoopClosures.empty(maps[0].group), 0
     start = len(ENDS) + len(measured)
     extra = _extra_columns(rows, start, (*ENDS, *measured), maps[0].tangent_dim)
     transforms = coordinates.parameters(coordinate, rows.floats(4, start), rows.fault)
-    information = _information(rows.floats(start, start + extra), maps, str(path))
+    uncertainty = rows.floats(start, start + extra)
+    if extra == maps[0].tangent_dim:
+        _check_sigmas(uncertainty, rows)
+    information = _information(uncertainty, maps, str(path))
     information, clipped = definite(information, rows.fault, reading.repair)
     ends = [end for side in (0, 2) for end in _end(rows, side, maps)]
     raise_first(
@@ -74,7 +80,7 @@ def _without_header(rows: Rows, expected: tuple[str, ...]) -> Rows:
 def _extra_columns(rows: Rows, start: int, expected: tuple[str, ...], d: int) -> int:
     """Columns of uncertainty: 0, d or d (d + 1) / 2, the same in every row."""
     allowed = (0, d, d * (d + 1) // 2)
-    extra = len(rows.first) - start if len(rows) else 0
+    extra = len(rows.first) - start
     if extra not in allowed:
         raise rows.fault(
             0,
@@ -102,9 +108,16 @@ def _information(extra: np.ndarray, maps: Sequence[PoseGraph], path: str) -> np.
             ),
             stacklevel=2,
         )
-    with np.errstate(divide="ignore"):
-        weights = 1.0 / np.square(sigmas)
-    return weights[:, :, None] * np.eye(d)
+    return (sigmas**-2.0)[:, :, None] * np.eye(d)
+
+
+def _check_sigmas(sigmas: np.ndarray, rows: Rows) -> None:
+    wrong = sigmas < SMALLEST_SIGMA
+    raise_first(
+        wrong.any(axis=1),
+        rows.fault,
+        lambda row: f"{sigmas[row][wrong[row]][0]:g} given, expected a standard deviation above 0",
+    )
 
 
 def _median_sigmas(maps: Sequence[PoseGraph]) -> np.ndarray:

@@ -231,21 +231,20 @@ def _map(vertices: Table, edges: Table, ids: np.ndarray, name: str) -> PoseGraph
         ids: its poses' ids, in the order to be.
         name: the robot's.
     """
+    given = _unrepeated(vertices, ids) if len(vertices) else None
     tail, head = (positions(ids, edges, end) for end in (0, 1))
     group: Any = jaxlie.SE2 if edges.transforms.shape[1] == 4 else jaxlie.SE3
     measurement = group(edges.transforms)
     try:
-        if len(vertices):
-            poses = group(_unrepeated(vertices, ids))
+        if given is not None:
+            poses = group(given)
             check_connected(tail, head, len(ids), ids=ids)
         else:
             poses = spanning_tree_poses(
                 tail, head, measurement, len(ids), prefer="odometry", ids=ids
             )
-    except FileFormatError:
-        raise
     except InputError as error:
-        defined = vertices if len(vertices) else edges
+        defined = edges if given is None else vertices
         path = defined.paths[defined.file[0]]
         raise FileFormatError(path, None, str(error)) from None
     return PoseGraph.from_checked(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 TRACED = ("robot_a", "pose_a", "robot_b", "pose_b", "measurement", "information")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class LoopClosures:
     """Inter-robot relative-pose measurements, some of which may be false.
 
@@ -56,6 +56,9 @@ class LoopClosures:
     def __post_init__(self) -> None:
         if self.source is None:
             object.__setattr__(self, "source", np.full(batch_size(self.measurement), "", object))
+
+    def __repr__(self) -> str:
+        return f"LoopClosures({len(self)}, {type(self.measurement).__name__})"
 
     def __len__(self) -> int:
         return batch_size(self.measurement)

@@ -17,7 +17,7 @@ from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import argument_fault, raise_first
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class MultiRobotGraph:
     """Maps, each in its own frame, and the measurements that may join them.
 
@@ -52,6 +52,9 @@ class MultiRobotGraph:
         if self.closures is None:
             object.__setattr__(self, "closures", LoopClosures.empty(maps[0].group))
         check_closures(self.maps, self.closures)
+
+    def __repr__(self) -> str:
+        return f"MultiRobotGraph({', '.join(map(repr, self.maps))}, {self.closures!r})"
 
     @property
     def group(self) -> type[Any]:

@@ -20,7 +20,7 @@ from pcm_jax.precision import device_array
 TRACED = ("poses", "tail", "head", "measurement", "information")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class PoseGraph:
     """Poses of one robot and relative-pose measurements ("edges") between them.
 
@@ -61,6 +61,10 @@ class PoseGraph:
             object.__setattr__(self, "ids", np.arange(batch_size(self.poses), dtype=np.int64))
         if self.source is None:
             object.__setattr__(self, "source", np.full(batch_size(self.measurement), "", object))
+
+    def __repr__(self) -> str:
+        kind = type(self.poses).__name__
+        return f"PoseGraph({self.name!r}: {self.num_poses} poses, {self.num_edges} edges, {kind})"
 
     @property
     def num_poses(self) -> int:
