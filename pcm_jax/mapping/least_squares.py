@@ -1,0 +1,162 @@
+"""The host's side of a solve: padding, the pattern's system, one compiled call, the result.
+
+`solve` takes any graph of poses, one map or several merged ones; `optimize` and the merge are thin
+callers.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple, cast
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.mapping.linearization import Edges, whitened_residual, whitening_of
+from pcm_jax.padding import bucket
+from pcm_jax.precision import in_float64
+
+METHODS = ("gauss-newton", "levenberg-marquardt")
+ENGINES = ("blocks", "cholmod")
+RTOL = 1e-9
+ATOL = 1e-9
+MAX_STEPS = 100
+
+
+class Solved(NamedTuple):
+    """What `solve` returns, on the host.
+
+    Attributes:
+        poses: Lie `[n]`, NumPy.
+        initial_cost, cost: 0.5 Σ rᵀΩr before and after.
+        iterations: accepted steps.
+        converged: whether a tolerance was met.
+    """
+
+    poses: Any
+    initial_cost: float
+    cost: float
+    iterations: int
+    converged: bool
+
+
+def check_names(method: str, engine: str) -> None:
+    """Raises InputError unless method and engine are known, and the engine's extra installed."""
+    if method not in METHODS:
+        raise InputError(f"method: {method!r} given, expected one of {', '.join(METHODS)}")
+    if engine not in ENGINES:
+        raise InputError(f"engine: {engine!r} given, expected one of {', '.join(ENGINES)}")
+    if engine == "cholmod":
+        try:
+            import sparsax  # noqa: F401
+        except ImportError as error:
+            raise InputError(
+                "engine: 'cholmod' needs the package sparsax: pip install 'pcm-jax[cholmod]'"
+            ) from error
+
+
+@in_float64
+def solve(
+    poses: Any,
+    tail: Int[np.ndarray, " e"],
+    head: Int[np.ndarray, " e"],
+    measurement: Any,
+    information: Float[np.ndarray, "e d d"],
+    fixed: Bool[np.ndarray, " n"],
+    *,
+    method: str = "gauss-newton",
+    engine: str = "blocks",
+    rtol: float = RTOL,
+    atol: float = ATOL,
+    max_steps: int = MAX_STEPS,
+) -> Solved:
+    """Minimises 0.5 Σ rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), from the given poses.
+
+    Args:
+        poses: Lie `[n]`.
+        tail, head: `[e]`.
+        measurement: Lie `[e]`.
+        information: `[e, d, d]`, of the right perturbation of the measurement.
+        fixed: `[n]` poses that stay; at least one in every connected part.
+        method: "gauss-newton" or "levenberg-marquardt".
+        engine: "blocks" or "cholmod".
+        rtol, atol: see `ManifoldGaussNewton`.
+        max_steps: evaluations after which to give up.
+    """
+    from pcm_jax.mapping.gauss_newton import Problem
+    from pcm_jax.mapping.normal_equations import system_for
+
+    check_names(method, engine)
+    tail, head = np.asarray(tail), np.asarray(head)
+    n = len(fixed)
+    system = system_for(n, tail, head, np.asarray(fixed), information.shape[-1])
+    free = np.zeros(bucket(n), bool)
+    free[:n] = ~np.asarray(fixed)
+    edges = padded_edges(tail, head, measurement, information)
+    problem = Problem(edges, cast(Any, free), cast(Any, np.asarray(system.handle)))
+    start = lie.pad_leading(lie.as_numpy(poses), len(free))
+    run = _compiled(method, engine, rtol, atol, max_steps)
+    final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
+    return Solved(
+        lie.take(lie.as_numpy(final), slice(0, n)),
+        float(initial_cost),
+        float(cost),
+        int(steps),
+        bool(converged),
+    )
+
+
+def padded_edges(
+    tail: Int[np.ndarray, " e"],
+    head: Int[np.ndarray, " e"],
+    measurement: Any,
+    information: Float[np.ndarray, "e d d"],
+) -> Edges:
+    """Edges in NumPy, padded to a bucket with edges of no weight from the first pose to itself."""
+    missing = bucket(len(tail)) - len(tail)
+    arrays: Any = (
+        np.pad(tail.astype(np.int32), (0, missing)),
+        np.pad(head.astype(np.int32), (0, missing)),
+        lie.pad_leading(lie.as_numpy(measurement), len(tail) + missing),
+        np.pad(whitening_of(information), ((0, 0), (0, 0), (0, missing))),
+    )
+    return Edges(*arrays)
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(method: str, engine: str, rtol: float, atol: float, max_steps: int) -> Any:
+    """The whole solve as one compiled program per padded size."""
+    import optimistix as optx
+
+    from pcm_jax.mapping import gauss_newton, normal_equations
+
+    engines = {"blocks": normal_equations.BlockCholesky, "cholmod": normal_equations.Cholmod}
+    make = {
+        "gauss-newton": gauss_newton.gauss_newton,
+        "levenberg-marquardt": gauss_newton.levenberg_marquardt,
+    }[method]
+
+    @jax.jit
+    def run(start: Any, problem: Any) -> Any:
+        solver = make(engines[engine](), rtol=rtol, atol=atol)
+        solution = optx.least_squares(
+            lambda poses, args: whitened_residual(poses, args.edges),
+            solver,
+            start,
+            problem,
+            max_steps=max_steps,
+            throw=False,
+        )
+        stats = solution.stats
+        return (
+            solution.value,
+            stats["initial_cost"],
+            stats["cost"],
+            stats["accepted_steps"],
+            solution.result == optx.RESULTS.successful,
+        )
+
+    return run

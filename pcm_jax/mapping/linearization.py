@@ -1,0 +1,127 @@
+"""Residuals of the edges and their Jacobians, entry by entry over arrays `[…, edges]`.
+
+An edge from pose `i` to pose `j` with measurement `z` and information `Ω = L Lᵀ` has the residual
+
+    r = Log( z⁻¹ x ),  x = X_i⁻¹ X_j,  whitened: Lᵀ r.
+
+With right perturbations `X exp(δ)`:  z⁻¹ X_i⁻¹ X_j exp(δ_j) gives  ∂r/∂δ_j = Jr⁻¹(r),  and
+`exp(−δ_i) x = x exp(−Ad(x⁻¹) δ_i)` gives  ∂r/∂δ_i = −Jr⁻¹(r) Ad(x⁻¹).
+
+Pure kernels: jit-, vmap- and grad-safe. Evaluated once per step of the optimiser.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from pcm_jax import lie
+
+T = TypeVar("T")
+
+
+class Edges(eqx.Module):
+    """The edges of a least-squares problem, padded; padded edges have zero `whitening`.
+
+    Attributes:
+        tail, head: `[e]` poses.
+        measurement: Lie `[e]`, seen from `tail`.
+        whitening: `[d, d, e]`, Lᵀ.
+    """
+
+    tail: Int[Array, " e"]
+    head: Int[Array, " e"]
+    measurement: lie.Transform  # type: ignore[valid-type]
+    whitening: Float[Array, "d d e"]
+
+
+class EdgeJacobians(NamedTuple):
+    """Whitened residuals and Jacobians of all edges.
+
+    Attributes:
+        residual: `[d, e]`.
+        tail, head: `[d, d, e]` derivatives by the right perturbations of the two poses.
+    """
+
+    residual: Float[Array, "d e"]
+    tail: Float[Array, "d d e"]
+    head: Float[Array, "d d e"]
+
+
+def apart(always: Bool[Array, ""], function: Callable[..., T], *arguments: Any) -> T:
+    """`function(*arguments)`, compiled apart from what comes before and after it.
+
+    XLA fuses elementwise code without bound and evaluates a shared subexpression once for each of
+    the 36 entries that use it: linearising 6,000 SE(3) edges took 114 ms, in stages it takes 3 ms.
+    It does not fuse across a conditional (and drops optimization barriers before it fuses).
+
+    Args:
+        always: a traced value that is True, but not to the compiler's knowledge.
+    """
+    struct = jax.eval_shape(function, *arguments)
+    absent = functools.partial(jax.tree.map, lambda x: jnp.full(x.shape, jnp.nan, x.dtype), struct)
+    return jax.lax.cond(always, function, lambda *_: absent(), *arguments)
+
+
+def _relative(poses: Any, edges: Edges) -> tuple[Any, Any]:
+    """X = X_i⁻¹ X_j and r = Log(z⁻¹ x), in entries."""
+    group = lie.module_of(lie.group_of(poses))
+    from_pose = lie.components(lie.take(poses, edges.tail))
+    to_pose = lie.components(lie.take(poses, edges.head))
+    relative = group.compose(group.inverse(from_pose), to_pose)
+    error = group.compose(group.inverse(lie.components(edges.measurement)), relative)
+    return relative, group.log(error)
+
+
+def multiply(a: Float[Array, "i j e"], b: Float[Array, "j k e"]) -> Float[Array, "i k e"]:
+    """A B for every edge, as elementwise arithmetic along the edges."""
+    return sum(a[:, j, None] * b[None, j] for j in range(len(b)))  # type: ignore[return-value]
+
+
+def whitened_residual(poses: Any, edges: Edges) -> Float[Array, "d e"]:
+    """Lᵀ Log(z⁻¹ X_i⁻¹ X_j) of every edge; half the sum of its squares is the cost."""
+    _, residual = apart(edges.tail[0] >= 0, _relative, poses, edges)
+    return multiply(edges.whitening, jnp.stack(residual)[:, None])[:, 0]
+
+
+def linearize(poses: Any, edges: Edges) -> EdgeJacobians:
+    """Whitened residuals and their derivatives by right perturbations of the poses."""
+    group = lie.module_of(lie.group_of(poses))
+    always = edges.tail[0] >= 0
+
+    def factors(relative: Any, residual: Any) -> Any:
+        slope = _dense(group.right_jacobian_inverse(residual), residual[0])
+        transport = _dense(group.adjoint(group.inverse(relative)), residual[0])
+        return slope, transport, jnp.stack(residual)[:, None]
+
+    relative, residual = apart(always, _relative, poses, edges)
+    slope, transport, residual = apart(always, factors, relative, residual)
+    by_head = apart(always, multiply, edges.whitening, slope)
+    by_tail = apart(always, multiply, -by_head, transport)
+    return EdgeJacobians(multiply(edges.whitening, residual)[:, 0], by_tail, by_head)
+
+
+def _dense(matrix: Any, like: Array) -> Float[Array, "i j e"]:
+    rows = [[jnp.broadcast_to(jnp.asarray(x, like.dtype), like.shape) for x in r] for r in matrix]
+    return jnp.stack([jnp.stack(row) for row in rows])
+
+
+def retract(poses: Any, step: Float[Array, "n d"]) -> Any:
+    """X exp(δ), scaled back to the group so that rounding does not add up."""
+    kind = lie.group_of(poses)
+    group = lie.module_of(kind)
+    moved = group.compose(lie.components(poses), group.exp(tuple(jnp.moveaxis(step, -1, 0))))
+    return lie.from_components(kind, group.normalize(moved))
+
+
+def whitening_of(information: Float[np.ndarray, "e d d"]) -> Float[np.ndarray, "d d e"]:
+    """Lᵀ with Ω = L Lᵀ, on the host."""
+    lower = np.linalg.cholesky(information)
+    return np.ascontiguousarray(np.moveaxis(lower, (0, 1, 2), (2, 1, 0)))

@@ -1,0 +1,105 @@
+"""How certain some poses of a map are, jointly: what the consistency of loop closures rests on.
+
+With `H = Σ JᵀJ` at the optimum and the first pose held, the joint covariance of the poses that
+closures touch is a block of `H⁻¹`, found from the sparse factor (`inverse_block`): never the whole
+inverse, never pose pair by pose pair. Runs on the host.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.graph import PoseGraph
+from pcm_jax.mapping.cholesky import NotPositiveDefiniteError
+from pcm_jax.mapping.inverse_block import inverse_block
+from pcm_jax.mapping.least_squares import padded_edges
+from pcm_jax.mapping.normal_equations import system_for
+from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.padding import bucket
+from pcm_jax.precision import in_float64
+
+
+@in_float64
+def joint_marginal_covariance(
+    pose_graph: PoseGraph, poses: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, "k*d k*d"]:
+    """Joint covariance of some poses at the graph's own poses, which should be the optimum.
+
+    Args:
+        pose_graph: an optimised map.
+        poses: `[k]` indices, in any order, each once. The first pose is held, so its rows and
+            columns are zero.
+
+    Returns:
+        `[k·d, k·d]` for right perturbations `X exp(δ)`, δ = (translation, rotation), metres and
+        radians; blocks in the order of `poses`.
+
+    Raises:
+        InputError: for an index out of range or given twice, or a singular map.
+    """
+    wanted = _check_indices(np.asarray(poses), pose_graph.num_poses)
+    d = pose_graph.tangent_dim
+    free = wanted[wanted != 0]
+    covariance = np.zeros((len(wanted), d, len(wanted), d))
+    if len(free):
+        rows, scalar = np.flatnonzero(wanted != 0), np.arange(d)
+        found = _covariance(pose_graph, free).reshape(len(free), d, len(free), d)
+        covariance[np.ix_(rows, scalar, rows, scalar)] = found
+    return covariance.reshape(len(wanted) * d, len(wanted) * d)
+
+
+def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
+    if poses.ndim != 1 or not np.issubdtype(poses.dtype, np.integer):
+        raise InputError(
+            f"poses: shape {poses.shape}, dtype {poses.dtype} given, expected integers [k]"
+        )
+    outside = np.flatnonzero((poses < 0) | (poses >= size))
+    if len(outside):
+        at = outside[0]
+        raise InputError(f"poses[{at}]: {poses[at]} given, expected 0 … {size - 1}")
+    values, count = np.unique(poses, return_counts=True)
+    if (count > 1).any():
+        raise InputError(f"poses: {values[count > 1][0]} given twice, expected each pose once")
+    return poses.astype(np.int64)
+
+
+def _covariance(graph: PoseGraph, wanted: np.ndarray) -> np.ndarray:
+    """The block of H⁻¹ of poses that are not held."""
+    tail, head, measurement, information = host_arrays(graph)
+    fixed = np.arange(graph.num_poses) == 0
+    products = _edge_information(graph.poses, tail, head, measurement, information)
+    system = system_for(graph.num_poses, tail, head, fixed, graph.tangent_dim)
+    try:
+        return inverse_block(system.factorize(products), wanted)
+    except NotPositiveDefiniteError as error:
+        raise InputError(
+            f"pose_graph {graph.name!r}: its information is singular: some pose is tied to the"
+            " first one by measurements of almost no weight"
+        ) from error
+
+
+def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
+    """JᵀJ of every edge's two poses, on the host."""
+    padded = padded_edges(*edges)
+    start = lie.pad_leading(lie.as_numpy(poses), bucket(lie.parameters(poses).shape[0]))
+    return np.asarray(_compiled_products()(start, padded))
+
+
+@functools.cache
+def _compiled_products() -> Any:
+    from pcm_jax.mapping.linearization import apart, linearize
+    from pcm_jax.mapping.normal_equations import edge_products
+
+    @jax.jit
+    def run(poses: Any, edges: Any) -> Any:
+        residual, by_tail, by_head = linearize(poses, edges)
+        return apart(edges.tail[0] >= 0, edge_products, by_tail, by_head, residual).products
+
+    return run
