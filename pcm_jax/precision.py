@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 P = ParamSpec("P")
@@ -32,4 +31,4 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
 def device_array(values: Any, dtype: Any = np.float64) -> jax.Array:
     """A JAX array of exactly `dtype`, also where 64-bit types are not enabled."""
     with jax.enable_x64(True):
-        return jnp.asarray(np.asarray(values, dtype=dtype))
+        return jax.device_put(np.asarray(values, dtype=dtype))  # copies; compiles nothing

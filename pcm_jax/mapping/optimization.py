@@ -12,7 +12,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
 from pcm_jax.mapping.initialization import chordal_poses
-from pcm_jax.mapping.least_squares import check_names, solve
+from pcm_jax.mapping.least_squares import MAX_STEPS, check_names, solve
 from pcm_jax.precision import in_float64
 
 INITIAL = ("chordal", "spanning-tree", "given")
@@ -44,6 +44,7 @@ def optimize(
     initial: str = "chordal",
     method: str = "gauss-newton",
     engine: str = "blocks",
+    max_steps: int = MAX_STEPS,
 ) -> Solution:
     """Finds the poses of least cost 0.5 Σ rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), the first pose held.
 
@@ -53,6 +54,7 @@ def optimize(
             along shortest paths) or "given" (the graph's own poses).
         method: "gauss-newton", or "levenberg-marquardt" where the start is poor.
         engine: "blocks" (NumPy and LAPACK), or "cholmod" (the `cholmod` extra).
+        max_steps: evaluations of the cost after which to give up.
 
     Returns:
         The solution; its graph is float64 whatever the caller's `jax_enable_x64`.
@@ -66,7 +68,7 @@ def optimize(
     start = _initial_poses(pose_graph, arrays, initial)
     if pose_graph.num_edges == 0:
         return Solution(pose_graph, 0.0, 0.0, 0, True)
-    solved = solve(start, *arrays, first, method=method, engine=engine)
+    solved = solve(start, *arrays, first, method=method, engine=engine, max_steps=max_steps)
     graph = pose_graph.with_poses(lie.as_device(solved.poses))
     return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
 

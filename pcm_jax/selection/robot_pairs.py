@@ -110,7 +110,7 @@ def select(
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     watch = _StopWatch()
     with watch("optimize"):
-        maps = graph.maps if optimized else tuple(map(_optimised, graph.maps))
+        maps = optimized_maps(graph.maps, optimized)
     distances = _SquaredDistances(maps, watch)
     inliers = np.zeros(len(np.asarray(graph.closures.robot_a)), bool)
     pairs = []
@@ -124,6 +124,11 @@ def select(
         certificate = choice.optimal, choice.upper_bound
         pairs.append(PairSelection(a, b, indices, squared, gate, accepted, *certificate))
     return Selection(inliers, tuple(pairs), method, confidence, gate, maps, watch.seconds)
+
+
+def optimized_maps(maps: tuple[PoseGraph, ...], optimized: bool) -> tuple[PoseGraph, ...]:
+    """Each map at its own optimum; the given ones if they are `optimized` already."""
+    return maps if optimized else tuple(map(_optimised, maps))
 
 
 def _optimised(pose_graph: PoseGraph) -> PoseGraph:

@@ -1,0 +1,31 @@
+"""Which robots the accepted closures connect. Robots that none connects stay apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool
+
+from pcm_jax.graph import LoopClosures
+
+
+def robot_groups(
+    robots: int, closures: LoopClosures, accepted: Bool[np.ndarray, " m"]
+) -> tuple[tuple[int, ...], ...]:
+    """Connected components of the robots.
+
+    Args:
+        robots: how many there are.
+        closures: all closures.
+        accepted: those that connect.
+
+    Returns:
+        Tuples of robot indices, ascending, in the order of their first robots.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.asarray(closures.robot_a)[accepted], np.asarray(closures.robot_b)[accepted]
+    links = coo_array((np.ones(len(ends[0])), ends), shape=(robots, robots))
+    count, label = connected_components(links, directed=False)
+    groups = [tuple(np.flatnonzero(label == k).tolist()) for k in range(count)]
+    return tuple(sorted(groups))

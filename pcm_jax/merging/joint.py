@@ -1,0 +1,158 @@
+"""The maps of a group as one pose graph, and its solution.
+
+Robot r's poses in the group's frame are `P = T_r X`. In terms of P the residual of a closure,
+`Log( z⁻¹ (T_a X_i)⁻¹ (T_b Y_k) )` (Kim et al. 2010), joins two poses like any edge, and the edges
+inside a map do not see T_r at all. So the anchors are no unknowns: the merged graph is solved by
+the optimiser of single maps, with the group's first pose held, and `T_r = P_r0 X_r0⁻¹` afterwards.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from pcm_jax import lie
+from pcm_jax.errors import InputWarning
+from pcm_jax.graph import MultiRobotGraph, PoseGraph
+from pcm_jax.mapping import Solution, optimize
+from pcm_jax.precision import device_array
+
+PATIENCE = 30
+"""Steps of each attempt: consistent closures need fewer than ten."""
+
+
+def joint_graph(
+    graph: MultiRobotGraph, members: Sequence[int], closures: Int[np.ndarray, " k"], anchors: Any
+) -> PoseGraph:
+    """One pose graph of several robots, in the frame of the first.
+
+    Args:
+        graph: optimised maps and all closures.
+        members: robots, which `closures` connect.
+        closures: indices of the closures to use.
+        anchors: Lie `[robots]`, where each map is put to start with.
+
+    Returns:
+        The robots' poses one robot after the other; their edges, then the closures.
+    """
+    maps = [graph.maps[robot] for robot in members]
+    sizes = [one.num_poses for one in maps]
+    offset = np.zeros(len(graph.maps), np.int64)
+    offset[list(members)] = np.cumsum([0, *sizes[:-1]])
+    used = graph.closures[closures]
+    ends_a = offset[np.asarray(used.robot_a)] + np.asarray(used.pose_a)
+    ends_b = offset[np.asarray(used.robot_b)] + np.asarray(used.pose_b)
+    poses = [
+        lie.compose(lie.take(anchors, np.full(size, robot)), lie.as_numpy(one.poses))
+        for robot, one, size in zip(members, maps, sizes, strict=True)
+    ]
+    starts = [offset[robot] for robot in members]
+    edges = [one.measurement for one in maps] + [used.measurement]
+    return PoseGraph.from_checked(
+        poses=lie.concatenate(poses),
+        tail=np.concatenate([*(np.asarray(m.tail) + o for m, o in _zip(maps, starts)), ends_a]),
+        head=np.concatenate([*(np.asarray(m.head) + o for m, o in _zip(maps, starts)), ends_b]),
+        measurement=lie.concatenate([lie.as_numpy(edge) for edge in edges]),
+        information=np.concatenate([np.asarray(m.information) for m in [*maps, used]]),
+        ids=np.arange(sum(sizes)),
+        name=" + ".join(one.name for one in maps),
+        source=np.concatenate([m.source for m in [*maps, used]]),
+    )
+
+
+def _zip(maps: list[PoseGraph], starts: list[Any]) -> Any:
+    return zip(maps, starts, strict=True)
+
+
+def solve_joint(joint: PoseGraph, closures: int, *, method: str, engine: str) -> Solution:
+    """Solves a merged graph from its own poses, and harder if that does not converge.
+
+    In turn, until one converges: the given method from the maps as they are aligned; from the
+    chordal relaxation of the whole; and the incremental rebuild of the paper's section VI.
+
+    Args:
+        joint: from `joint_graph`.
+        closures: how many of its last edges are closures.
+        method: "gauss-newton" or "levenberg-marquardt".
+        engine: "blocks" or "cholmod".
+    """
+    attempts = []
+    for start in ("given", "chordal"):
+        solution = optimize(joint, initial=start, method=method, engine=engine, max_steps=PATIENCE)
+        if solution.converged:
+            return solution
+        attempts.append(solution)
+    solution = rebuild(joint, closures, engine=engine)
+    if solution.converged:
+        return solution
+    warnings.warn(
+        f"merged map {joint.name!r}: the solve did not converge; the accepted closures contradict"
+        " each other or the maps",
+        InputWarning,
+        stacklevel=2,
+    )
+    return min([*attempts, solution], key=lambda s: s.cost if math.isfinite(s.cost) else math.inf)
+
+
+def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solution:
+    """Adds the closures a few at a time and re-optimises after each addition.
+
+    The number of closures doubles from step to step, so that m closures take log2(m) solves by
+    Levenberg-Marquardt, each from the one before.
+
+    Args:
+        joint: a merged graph whose maps are aligned by one of its closures.
+        closures: how many of its last edges are closures.
+        engine: "blocks" or "cholmod".
+    """
+    own = np.arange(joint.num_edges - closures)
+    order, used = _closure_order(joint, closures)
+    solution = Solution(joint, math.inf, math.inf, 0, False)
+    iterations = 0
+    while True:
+        edges = np.concatenate([own, np.sort(order[:used])])
+        kept = _with_edges(joint, edges).with_poses(solution.graph.poses)
+        solution = optimize(
+            kept, initial="given", method="levenberg-marquardt", engine=engine, max_steps=PATIENCE
+        )
+        iterations += solution.iterations
+        if used == closures:
+            break
+        used = min(closures, 2 * used)
+    final = joint.with_poses(solution.graph.poses)
+    return dataclasses.replace(solution, graph=final, iterations=iterations)
+
+
+def _closure_order(joint: PoseGraph, closures: int) -> tuple[np.ndarray, int]:
+    """The closures' edge indices, first those of a tree of robots; and how many these are."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    own = joint.num_edges - closures
+    tail, head = np.asarray(joint.tail), np.asarray(joint.head)
+    links = coo_array((np.ones(own), (tail[:own], head[:own])), shape=(joint.num_poses,) * 2)
+    robot = connected_components(links, directed=False)[1]
+    tree, others = [], []
+    for edge in range(own, joint.num_edges):
+        a, b = robot[tail[edge]], robot[head[edge]]
+        (others if a == b else tree).append(edge)
+        robot[robot == b] = a
+    return np.array(tree + others, np.int64), len(tree)
+
+
+def _with_edges(joint: PoseGraph, edges: np.ndarray) -> PoseGraph:
+    """The graph with some of its edges."""
+    return dataclasses.replace(
+        joint,
+        tail=device_array(np.asarray(joint.tail)[edges], np.int32),
+        head=device_array(np.asarray(joint.head)[edges], np.int32),
+        measurement=lie.as_device(lie.take(lie.as_numpy(joint.measurement), edges)),
+        information=device_array(np.asarray(joint.information)[edges]),
+        source=joint.source[edges],
+    )

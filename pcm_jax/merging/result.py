@@ -1,0 +1,197 @@
+"""`MergeResult`: the merged maps, what was believed, and a report of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pcm_jax import lie
+from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.mapping import joint_marginal_covariance
+from pcm_jax.merging.joint import joint_graph
+from pcm_jax.precision import in_float64
+from pcm_jax.selection import Selection
+
+POSE_FIELDS = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "qx", "qy", "qz", "qw")}
+
+
+@dataclasses.dataclass(frozen=True)
+class MergeSolution:
+    """How well the merged maps fit all measurements that were used.
+
+    Attributes:
+        cost: 0.5 Σ rᵀΩr over the maps' edges and the accepted closures, all groups.
+        initial_cost: the same with the maps as the closures align them.
+        normalized_chi2: Σ rᵀΩr / (rows − columns), or None when no degree of freedom is left.
+        iterations: steps taken, all groups.
+        converged: whether every group's solve met a tolerance.
+    """
+
+    cost: float
+    initial_cost: float
+    normalized_chi2: float | None
+    iterations: int
+    converged: bool
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MergeResult:
+    """Several maps merged by the closures that were accepted.
+
+    Attributes:
+        graph: the maps at their merged poses, each in its group's frame, which is that of the
+            group's first robot; all closures, in the given order.
+        inliers: bool `[m]`, the closures that were accepted and used.
+        anchors: Lie `[robots]`, float64: the pose `T_r` of each map's own frame in its group's
+            frame, `P = T_r X` at the map's first pose; the identity for a robot by itself.
+        solution: costs and convergence.
+        groups: tuples of robot indices; robots that no accepted closure connects are apart.
+        selection: how the closures were chosen, with Q and certificates; None if they were given.
+        maps: the robots' own optimised maps, before merging.
+        method: how the closures were chosen.
+        seconds: wall-clock time of "optimize", "marginals", "consistency", "clique" and "merge";
+            "compile" is what JAX's compiler took of these.
+    """
+
+    graph: MultiRobotGraph
+    inliers: Bool[np.ndarray, " m"]
+    anchors: Any
+    solution: MergeSolution
+    groups: tuple[tuple[int, ...], ...]
+    selection: Selection | None
+    maps: tuple[Any, ...]
+    method: str
+    seconds: dict[str, float]
+
+    @functools.cached_property
+    def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
+        """How well each map is tied to its group: covariance of `T_r` for `T_r exp(δ)`.
+
+        Zero for the first robot of a group, whose frame is the group's.
+        """
+        return _anchor_covariance(self)
+
+    def report(self) -> dict[str, Any]:
+        """The result as plain data (numbers, strings, lists, dicts), as `report.json` holds it.
+
+        Pose names are the robot's name and the pose's id in its file. Anchors are translations in
+        metres with an angle in radians or a quaternion; null for a robot by itself.
+        """
+        from pcm_jax import __version__
+
+        graph, selection = self.graph, self.selection
+        alone = {members[0] for members in self.groups if len(members) == 1}
+        solution = dataclasses.asdict(self.solution)
+        del solution["initial_cost"]
+        return {
+            "version": __version__,
+            "method": self.method,
+            "confidence": selection.confidence if selection else None,
+            "gate": selection.gate if selection else None,
+            "robots": [
+                {"name": m.name, "poses": m.num_poses, "edges": m.num_edges} for m in graph.maps
+            ],
+            "closures": self._closure_rows(),
+            "robot_pairs": self._pair_rows(),
+            "anchors": [
+                None if robot in alone else _pose_fields(lie.take(self.anchors, robot))
+                for robot in range(len(graph.maps))
+            ],
+            "solution": solution,
+            "groups": [[graph.maps[robot].name for robot in group] for group in self.groups],
+            "seconds": dict(self.seconds),
+        }
+
+    def plot(self, ax: Any = None, *, truth: Any = None) -> Any:
+        """Draws the merged maps with accepted and rejected closures; needs the `plot` extra.
+
+        Args:
+            ax: matplotlib axes; new ones by default.
+            truth: bool `[m]`, the closures that are right, if known.
+
+        Returns:
+            The axes.
+        """
+        from pcm_jax.evaluation.plots import plot_merge
+
+        return plot_merge(self, ax, truth=truth)
+
+    def _closure_rows(self) -> list[dict[str, Any]]:
+        maps, closures = self.graph.maps, self.graph.closures
+        ends = zip(
+            np.asarray(closures.robot_a).tolist(),
+            np.asarray(closures.pose_a).tolist(),
+            np.asarray(closures.robot_b).tolist(),
+            np.asarray(closures.pose_b).tolist(),
+            strict=True,
+        )
+        return [
+            {
+                "index": index,
+                "a": maps[a].pose_name(i),
+                "b": maps[b].pose_name(k),
+                "source": str(closures.source[index]),
+                "accepted": bool(self.inliers[index]),
+            }
+            for index, (a, i, b, k) in enumerate(ends)
+        ]
+
+    def _pair_rows(self) -> list[dict[str, Any]]:
+        maps, closures = self.graph.maps, self.graph.closures
+        certificates = {
+            (pair.robot_a, pair.robot_b): (pair.optimal, pair.upper_bound)
+            for pair in (self.selection.pairs if self.selection else ())
+        }
+        rows = []
+        for a, b in closures.pairs():
+            _, indices = closures.between(a, b)
+            optimal, upper_bound = certificates.get((a, b), (None, None))
+            rows.append(
+                {
+                    "a": maps[a].name,
+                    "b": maps[b].name,
+                    "measured": len(indices),
+                    "accepted": int(self.inliers[indices].sum()),
+                    "optimal": optimal,
+                    "upper_bound": upper_bound,
+                }
+            )
+        return rows
+
+
+def _pose_fields(pose: Any) -> dict[str, float]:
+    if lie.tangent_dim(pose) == 3:
+        cos, sin, x, y = map(float, lie.components(lie.as_numpy(pose)))
+        values = [x, y, float(np.arctan2(sin, cos))]
+    else:
+        w, *axis, x, y, z = map(float, lie.components(lie.as_numpy(pose)))
+        values = [x, y, z, *axis, w]
+    return dict(zip(POSE_FIELDS[lie.tangent_dim(pose)], values, strict=True))
+
+
+@in_float64
+def _anchor_covariance(result: MergeResult) -> np.ndarray:
+    """`T = P X⁻¹` with X held: a perturbation of P on the right is `Ad(X) δ` of T's."""
+    graph = result.graph
+    covariance = np.zeros((len(graph.maps), graph.tangent_dim, graph.tangent_dim))
+    here = lie.identity(lie.group_of(lie.as_numpy(graph.maps[0].poses)), (len(graph.maps),))
+    for members in result.groups:
+        used = [
+            index
+            for index in np.flatnonzero(result.inliers)
+            if int(graph.closures.robot_a[index]) in members
+        ]
+        joint = joint_graph(graph, members, np.array(used, np.int64), here)
+        start = 0
+        for robot in members:
+            if start:
+                own = joint_marginal_covariance(joint, np.array([start]))
+                first = lie.take(lie.as_numpy(result.maps[robot].poses), 0)
+                transport = np.asarray(lie.adjoint(first))
+                covariance[robot] = transport @ own @ transport.T
+            start += graph.maps[robot].num_poses
+    return covariance
