@@ -19,11 +19,11 @@ def write_text(path: str | PathLike[str], text: str) -> None:
     """
     target = Path(path)
     data = _compressed(target.suffix, text.encode())
-    if not target.parent.is_dir():
-        raise FileFormatError(target, None, f"there is no folder {target.parent} to write to")
-    if target.is_dir():
-        raise FileFormatError(target, None, "this is a folder, expected a file to write to")
     try:
+        if not target.parent.is_dir():
+            raise FileFormatError(target, None, f"there is no folder {target.parent} to write to")
+        if target.is_dir():
+            raise FileFormatError(target, None, "this is a folder, expected a file to write to")
         if target.exists() and not target.is_file():
             target.write_bytes(data)  # a device or pipe must not be replaced by a file
         else:

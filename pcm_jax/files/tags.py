@@ -130,12 +130,10 @@ SKIPPED_PREFIXES = (
     "RAWLASER",
     "FLASER",
     "LANDMARK",
-    "POINT",
-    "EQUIV",
-    "BR",
 )
+SKIPPED = ("POINT2", "POINT3", "EQUIV", "BR")
 
 
 def is_skipped(tag: str) -> bool:
     """Whether a line is known and of no use to a pose graph."""
-    return tag.startswith(SKIPPED_PREFIXES)
+    return tag in SKIPPED or tag.startswith(SKIPPED_PREFIXES)

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import jaxlie
 import numpy as np
 
 from pcm_jax import lie
@@ -44,15 +45,15 @@ def write_g2o(
 
     Raises:
         FileFormatError: for a folder that does not exist or cannot be written to.
-        InputError: for another value of `ids`, a robot's name that is not printable text, and for
-            "original" where ids do not fit a symbol key (0 … 2^56 − 1) or there are more robots
-            than letters (94).
+        InputError: for another value of `ids`, poses that are neither SE(2) nor SE(3), a robot's
+            name that is not printable text, and for "original" where ids do not fit a symbol key
+            (0 … 2^56 − 1) or there are more robots than letters (94).
     """
     if ids not in IDS:
         raise InputError(f"ids: {ids!r} given, expected one of {IDS}")
     if isinstance(graph, PoseGraph):
         graph = MultiRobotGraph((graph,))
-    _check_names(graph.maps)
+    _check_writable(graph)
     if ids == "sequential":
         starts = np.cumsum([0, *(pose_graph.num_poses for pose_graph in graph.maps)])
         keys = [np.arange(a, b) for a, b in pairwise(starts)]
@@ -66,11 +67,14 @@ def write_g2o(
     write_text(path, "\n".join([*header, *_body(graph, keys), ""]))
 
 
-def _check_names(maps: Sequence[PoseGraph]) -> None:
-    for graph in maps:
-        if not graph.name.isprintable() or graph.name.strip() != graph.name:
+def _check_writable(graph: MultiRobotGraph) -> None:
+    """The group has a tag, and the names fit into a comment."""
+    if graph.group not in (jaxlie.SE2, jaxlie.SE3):
+        raise InputError(f"graph: {graph.group.__name__} given, expected SE2 or SE3")
+    for name in graph.names:
+        if not name.isprintable() or name.strip() != name:
             raise InputError(
-                f"graph: the robot name {graph.name!r} cannot be written, expected printable text"
+                f"graph: the robot name {name!r} cannot be written, expected printable text"
                 " without space around it"
             )
 

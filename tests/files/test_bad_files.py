@@ -169,6 +169,8 @@ def test_missing_files_and_folders(tmp_path, write):
         FileFormatError, match=r"out.g2o: there is no folder .*missing to write to$"
     ):
         write_g2o(tmp_path / "missing" / "out.g2o", graph)
+    with pytest.raises(FileFormatError, match=r"cannot be written: File name too long$"):
+        write_g2o(tmp_path / ("x" * 300), graph)
     with pytest.raises(FileFormatError, match=r"this is a folder, expected a file to write to$"):
         write_g2o(tmp_path, graph)
 

@@ -15,6 +15,7 @@ def flat(write):
     """Two files of one robot each, ids 0, 10, 20."""
     lines = [f"VERTEX_SE2 {k} {k} 0 0" for k in (0, 10, 20)]
     lines += [f"EDGE_SE2 0 10 10 0 0 {UNIT_2D}", "EDGE_SE2 10 20 10 0 0 4 0 0 4 0 4"]
+    lines += ["EDGE_SE2 0 20 20 0 0 16 0 0 16 0 16"]
     return [write(*lines, name=name) for name in ("a.g2o", "b.g2o")]
 
 
@@ -59,11 +60,11 @@ def test_sigma_columns(flat, write):
 
 
 def test_without_uncertainty_the_maps_edges_tell(flat, write):
-    """Their variances are 1 and 1/4 in equal numbers; the median is half-way."""
+    """Their standard deviations are 1, 1/2 and 1/4 in equal numbers."""
     path = write("a,0,b,10,1,2,0.5", name="candidates.csv")
-    with pytest.warns(InputWarning, match=r"no columns for the uncertainty; .*\(0.791, 0.791, 0"):
+    with pytest.warns(InputWarning, match=r"no columns for the uncertainty; .*\(0.5, 0.5, 0.5\)"):
         information = read_graph(*flat, closures=path).closures.information
-    np.testing.assert_allclose(information[0], np.eye(3) / 0.625)
+    np.testing.assert_allclose(information[0], 4.0 * np.eye(3))
 
 
 def test_three_dimensions_after_the_files_closures(solid, write):

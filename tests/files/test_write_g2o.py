@@ -6,7 +6,8 @@ import pytest
 
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files import read_graph, write_g2o
-from pcm_jax.graph import split
+from pcm_jax.graph import PoseGraph, split
+from pcm_jax.lie import R1
 
 KEYS = {letter: (ord(letter) << 56) + np.arange(8) for letter in "abz"}
 
@@ -112,6 +113,23 @@ def test_what_cannot_be_written(tmp_path, make_robots, changes, message):
     with pytest.raises(InputError, match=message):
         write_g2o(tmp_path / "graph.g2o", graph, ids=changes.get("ids", "original"))
     assert not list(tmp_path.iterdir())
+
+
+def test_the_line_cannot_be_written(tmp_path):
+    line = PoseGraph.from_trajectory(
+        R1(np.arange(3.0)[:, None]), sigma_translation=1.0, sigma_rotation=1.0
+    )
+    assert line.information.shape == (2, 1, 1)
+    with pytest.raises(InputError, match="graph: R1 given, expected SE2 or SE3"):
+        write_g2o(tmp_path / "line.g2o", line)
+
+
+def test_a_table_with_an_impossible_name(write):
+    lines = ("VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 0 0 0", "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1")
+    path = write(f"# pcm_jax id-table {'x' * 300}", *lines)
+    with pytest.warns(InputWarning, match="is not beside it"):
+        assert read_graph(path).maps[0].num_poses == 2
+    read_graph(write("# pcm_jax id-table ../graph.ids.csv", *lines))
 
 
 def test_files_are_written_whole_or_not_at_all(tmp_path, make_robots, monkeypatch):
