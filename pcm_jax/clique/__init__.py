@@ -2,7 +2,7 @@
 
 Knows graphs only, no poses. `maximum_clique` is the entrance; the modules, in the order in which
 it walks through them: `adjacency` (what is a graph), `bounds` (what cannot matter), `heuristic`
-(a first clique), `exact` (a proof), `ties` (which of equals).
+(a first clique), `local_search` (a larger one), `exact` (a proof), `ties` (which of equals).
 """
 
 from pcm_jax.clique.maximum import maximum_clique

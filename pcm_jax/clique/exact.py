@@ -59,6 +59,14 @@ class BitGraph:
         label[self.vertices] = np.arange(1, len(self.vertices) + 1)
         return label[vertices].tolist()
 
+    def members(self, labels: int) -> list[int]:
+        """The labels in a set, largest first."""
+        found = []
+        while labels:
+            found.append(labels.bit_length())
+            labels ^= self.single[found[-1]]
+        return found
+
     def uncoloured(self, candidates: int, colours: int) -> int:
         """What of `candidates` a greedy colouring leaves without one of `colours` colours."""
         strangers, single = self.strangers, self.single

@@ -12,6 +12,7 @@ from pcm_jax.clique.adjacency import adjacency_matrix
 from pcm_jax.clique.bounds import core, degrees
 from pcm_jax.clique.exact import BitGraph, largest_clique
 from pcm_jax.clique.heuristic import greedy_clique
+from pcm_jax.clique.local_search import improved_clique
 from pcm_jax.clique.result import Clique
 from pcm_jax.clique.ties import smallest_by_index, smallest_by_total
 from pcm_jax.errors import InputError
@@ -90,8 +91,11 @@ def _exact(
     if perf_counter() > deadline:
         return found, int(degrees(adjacency).max()) + 1
     graph = BitGraph(adjacency[np.ix_(rest, rest)])
-    outcome = largest_clique(graph, graph.everything, len(found), deadline=deadline)
-    labels = outcome.labels or graph.labels_of(np.searchsorted(rest, np.sort(found)))
+    labels = graph.labels_of(np.searchsorted(rest, found))
+    if graph.uncoloured(graph.everything, len(labels)):
+        labels = improved_clique(graph, labels, deadline=deadline)
+    outcome = largest_clique(graph, graph.everything, len(labels), deadline=deadline)
+    labels = outcome.labels or labels
     upper_bound = max(len(labels), _cheap_bound(graph, outcome.unsettled))
     if upper_bound == len(labels) and perf_counter() < deadline:
         if squared is None:

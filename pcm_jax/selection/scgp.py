@@ -20,9 +20,6 @@ from pcm_jax.errors import InputError
 from pcm_jax.selection.choice import Choice
 from pcm_jax.selection.distances import symmetrised
 
-# Components of the eigenvector closer than this, relatively, are one value and one threshold.
-_SAME = 1e-9
-
 
 def _gaussian(squared: np.ndarray, gate: float) -> np.ndarray:
     return np.exp(-0.5 * squared)
@@ -68,9 +65,6 @@ def scgp(squared: Float[np.ndarray, "m m"], gate: float, *, affinity: str = "gau
     order = np.argsort(-leading, kind="stable")
     within = affinities[np.ix_(order, order)].cumsum(axis=0).cumsum(axis=1).diagonal()
     average = within / np.arange(1, len(order) + 1)
-    values = leading[order]
-    last_of_value = np.append(values[:-1] - values[1:] > _SAME * values[0], True)
-    count = 1 + int(np.argmax(np.where(last_of_value, average, -np.inf)))
     members = np.zeros(len(order), bool)
-    members[order[:count]] = True
+    members[order[: 1 + int(average.argmax())]] = True
     return Choice(members)

@@ -22,8 +22,10 @@ from sample_graphs import (
 )
 
 import pcm_jax.clique.maximum as entrance
-from pcm_jax.clique import maximum_clique
-from pcm_jax.clique.heuristic import _greedy_from
+from pcm_jax.clique import exact, maximum_clique
+from pcm_jax.clique.exact import BitGraph
+from pcm_jax.clique.heuristic import _greedy_from, greedy_clique
+from pcm_jax.clique.local_search import improved_clique
 from pcm_jax.errors import InputError
 
 
@@ -113,6 +115,22 @@ def test_heuristic_size_is_that_of_the_published_algorithm():
         )
 
 
+def test_local_search_only_improves_and_repeats_itself():
+    gains = 0
+    for seed in range(10):
+        adjacency = random_graph(150, 0.6, seed)
+        graph = BitGraph(adjacency)
+        start = graph.labels_of(greedy_clique(adjacency))
+        better = improved_clique(graph, start, deadline=np.inf)
+        members = np.isin(np.arange(150), graph.vertices_of(better))
+        assert is_clique(adjacency, members)
+        assert len(better) == members.sum() >= len(start)
+        assert better == improved_clique(graph, start, deadline=np.inf)
+        assert len(improved_clique(graph, start, deadline=0.0)) == len(start)
+        gains += len(better) - len(start)
+    assert gains > 0
+
+
 @pytest.mark.parametrize("parts", [1, 5, 9])
 def test_moon_moser_graphs_take_the_first_of_each_part(parts):
     clique = maximum_clique(complete_multipartite(parts, 3))
@@ -177,6 +195,31 @@ def test_bound_of_an_unfinished_search_holds():
             cut, full = maximum_clique(adjacency, time_limit=limit), maximum_clique(adjacency)
             assert cut.size <= full.size <= cut.upper_bound
             assert cut.optimal == (cut.size == cut.upper_bound)
+
+
+def test_an_unfinished_search_is_bounded_wherever_it_stops(monkeypatch):
+    for seed in range(30):
+        adjacency = random_graph(14, 0.5, seed)
+        size, graph = maximum_clique(adjacency).size, BitGraph(adjacency)
+        stopped, reading = True, 0
+        while stopped:
+            clock = itertools.count()
+            monkeypatch.setattr(exact, "perf_counter", clock.__next__)
+            outcome = exact.largest_clique(graph, graph.everything, 1, deadline=reading)
+            found, stopped = len(outcome.labels or [0]), bool(outcome.unsettled)
+            assert found <= size <= max(found, graph.chromatic_bound(outcome.unsettled)), seed
+            reading += 1
+        assert found == size
+
+
+def test_totals_that_differ_by_rounding_are_ties():
+    # 0.1 + 0.2 and 0.3 + 0 differ in the last digit: triangles of equal total, the first wins,
+    # though the heuristic meets the second first (of larger degree, for its edge to 6).
+    graph = nx.Graph([(0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5), (3, 6)])
+    squared = np.zeros((7, 7))
+    squared[0, 1], squared[1, 2], squared[3, 4] = 0.1, 0.2, 0.3
+    assert 0.1 + 0.2 > 0.3
+    assert members(maximum_clique(graph, tie_break=squared)) == (0, 1, 2)
 
 
 def test_time_limit_holds_for_the_choice_among_equals():
