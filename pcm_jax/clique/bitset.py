@@ -18,8 +18,3 @@ def neighbour_sets(adjacency: Bool[np.ndarray, "n n"]) -> list[int]:
     raw = packed.tobytes()
     rows = (raw[start : start + width] for start in range(0, len(raw), width or 1))
     return [0, *(int.from_bytes(row, "little") for row in rows)]
-
-
-def set_of(mask: Bool[np.ndarray, " n"]) -> int:
-    """The set of the labels v + 1 with `mask[v]`."""
-    return int.from_bytes(np.packbits(mask, bitorder="little").tobytes(), "little")

@@ -8,7 +8,8 @@ the next given that one, each a yes-or-no search ended by its first success.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
@@ -99,6 +100,17 @@ def _first_by_index(
     return [*chosen, *rest]
 
 
+@dataclass
+class _Node:
+    """A step of the search: `branches` are the positions left to try next."""
+
+    chosen: list[int]
+    candidates: int
+    total: float
+    cost: np.ndarray
+    branches: Iterator[int]
+
+
 class _CheapestClique:
     """Depth-first search for a clique of a given size and a small total of squared distances.
 
@@ -129,35 +141,36 @@ class _CheapestClique:
         slack = _ROUNDING * abs(limit)
         limit = limit + slack if or_equal else math.nextafter(limit - slack, -math.inf)
         cost = self.squared[np.array(chosen, int) - 1].sum(axis=0)
-        return self._extend(chosen, candidates, self.total(chosen), cost, limit)
-
-    def _extend(
-        self, chosen: list[int], candidates: int, total: float, cost: np.ndarray, limit: float
-    ) -> list[int] | None:
-        missing = self.size - len(chosen)
-        if missing == 0:
-            return chosen if self.total(chosen) <= limit else None
-        if perf_counter() > self.deadline:
-            return None
-        classes = self._colour_classes(candidates)
-        gain = cost + self.half_smallest[:, missing - 1]
-        if not _within(total, gain, classes, missing, limit):
-            return None
-        # The first `missing - 1` classes alone cannot complete a clique: branch on the others.
-        branches = np.concatenate(classes[missing - 1 :])
-        for position in branches[np.argsort(gain[branches], kind="stable")].tolist():
-            inside = candidates & self.graph.neighbours[position + 1]
-            candidates ^= self.graph.single[position + 1]
-            found = self._extend(
-                [*chosen, position + 1],
-                inside,
-                total + float(cost[position]),
-                cost + self.squared[position],
-                limit,
-            )
-            if found is not None:
-                return found
+        stack = [self._node(chosen, candidates, self.total(chosen), cost, limit)]
+        while stack and perf_counter() < self.deadline:
+            node = stack[-1]
+            if len(node.chosen) == self.size and self.total(node.chosen) <= limit:
+                return node.chosen
+            position = next(node.branches, None)
+            if position is None:
+                stack.pop()
+                continue
+            inside = node.candidates & self.graph.neighbours[position + 1]
+            node.candidates ^= self.graph.single[position + 1]
+            total = node.total + float(node.cost[position])
+            cost = node.cost + self.squared[position]
+            stack.append(self._node([*node.chosen, position + 1], inside, total, cost, limit))
         return None
+
+    def _node(
+        self, chosen: list[int], candidates: int, total: float, cost: np.ndarray, limit: float
+    ) -> _Node:
+        missing = self.size - len(chosen)
+        branches = np.empty(0, np.int64)
+        classes = self._colour_classes(candidates) if missing else []
+        if len(classes) >= missing > 0:
+            gain = cost + self.half_smallest[:, missing - 1]
+            smallest = np.sort([gain[members].min() for members in classes])[:missing]
+            if total + smallest.sum() <= limit:
+                # The first `missing - 1` classes alone complete no clique: branch on the others.
+                branches = np.concatenate(classes[missing - 1 :])
+                branches = branches[np.argsort(gain[branches], kind="stable")]
+        return _Node(chosen, candidates, total, cost, iter(branches.tolist()))
 
     def _colour_classes(self, candidates: int) -> list[np.ndarray]:
         classes = []
@@ -166,15 +179,6 @@ class _CheapestClique:
             classes.append(_positions(candidates ^ rest))
             candidates = rest
         return classes
-
-
-def _within(
-    total: float, gain: np.ndarray, classes: list[np.ndarray], missing: int, limit: float
-) -> bool:
-    if len(classes) < missing:
-        return False
-    smallest = np.sort([gain[members].min() for members in classes])[:missing]
-    return total + smallest.sum() <= limit
 
 
 def _positions(labels: int) -> np.ndarray:

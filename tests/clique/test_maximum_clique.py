@@ -176,6 +176,16 @@ def test_size_does_not_change_under_permutation(size, density, seed):
     assert members(maximum_clique(adjacency)) == members(clique)
 
 
+def test_cliques_deeper_than_the_recursion_limit():
+    graph = ~np.eye(1100, dtype=bool)
+    graph[3, 7] = graph[7, 3] = False
+    squared = np.zeros(graph.shape)
+    squared[3, 5] = 1.0
+    assert members(maximum_clique(graph)) == tuple(np.delete(np.arange(1100), 7))
+    cheaper = maximum_clique(graph, tie_break=squared)
+    assert members(cheaper) == tuple(np.delete(np.arange(1100), 3))
+
+
 def test_time_limit_returns_in_time_with_a_valid_bound():
     adjacency = random_graph(400, 0.9, 1)
     reference = maximum_clique(adjacency, time_limit=0.0)
