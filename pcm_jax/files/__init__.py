@@ -1,7 +1,15 @@
 """Reading and writing pose graphs and trajectories."""
 
+from pcm_jax.files.candidates import write_candidates
 from pcm_jax.files.read import read_graph
 from pcm_jax.files.tum import read_trajectory, read_tum, write_trajectory
 from pcm_jax.files.write import write_g2o
 
-__all__ = ["read_graph", "read_trajectory", "read_tum", "write_g2o", "write_trajectory"]
+__all__ = [
+    "read_graph",
+    "read_trajectory",
+    "read_tum",
+    "write_candidates",
+    "write_g2o",
+    "write_trajectory",
+]

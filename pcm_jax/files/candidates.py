@@ -3,23 +3,30 @@
 Columns: `robot_a, id_a, robot_b, id_b`, then the pose of b seen from a as `x, y, theta` or
 `x, y, z, qx, qy, qz, qw`, then nothing, one standard deviation per tangent direction (3 or 6), or
 the upper triangle of the information row by row (6 or 21), over (translation, rotation) in metres
-and radians. A first line of column names is optional.
+and radians. A first line of column names is optional; `write_candidates` writes it, and the upper
+triangle.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import warnings
 from collections.abc import Sequence
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
+from pcm_jax import lie
 from pcm_jax.errors import InputWarning
 from pcm_jax.files import coordinates
+from pcm_jax.files.output import write_text
 from pcm_jax.files.pose_file import Reading, definite
 from pcm_jax.files.tags import COLUMNS
 from pcm_jax.files.text import Rows, csv_rows, read_lines
 from pcm_jax.graph.loop_closures import LoopClosures, pose_indices
+from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import raise_first
 
@@ -64,6 +71,44 @@ def read_candidates(
     )
     measurement = maps[0].group(transforms)
     return LoopClosures.from_checked(tuple(ends), measurement, information, rows.source), clipped
+
+
+def write_candidates(path: str | PathLike[str], graph: MultiRobotGraph) -> None:
+    """Writes a graph's closures as a CSV file of candidates, whole or not at all.
+
+    `read_graph(..., closures=path)` with the same maps reads the same closures, in this order.
+
+    Args:
+        path: the file; `.gz` and `.xz` compress it.
+        graph: closures, and the maps whose names and ids they are written with.
+
+    Raises:
+        FileFormatError: for a folder that does not exist or cannot be written to.
+    """
+    closures = graph.closures
+    parameters = np.asarray(lie.parameters(lie.as_numpy(closures.measurement)))
+    triangle = coordinates.upper_triangle(np.asarray(closures.information))
+    numbers = np.concatenate([coordinates.columns(parameters), triangle], axis=1).tolist()
+    measured = COLUMNS["angle" if graph.tangent_dim == 3 else "quaternion"]
+    rows, columns = np.triu_indices(graph.tangent_dim)
+    information = (f"information_{r + 1}{c + 1}" for r, c in zip(rows, columns, strict=True))
+    ends = zip(
+        _robots_and_ids(graph, closures.robot_a, closures.pose_a),
+        _robots_and_ids(graph, closures.robot_b, closures.pose_b),
+        strict=True,
+    )
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow([*ENDS, *measured, *information])
+    table.writerows([*a, *b, *values] for (a, b), values in zip(ends, numbers, strict=True))
+    write_text(path, text.getvalue())
+
+
+def _robots_and_ids(graph: MultiRobotGraph, robots: Any, poses: Any) -> list[tuple[str, int]]:
+    return [
+        (graph.maps[robot].name, int(graph.maps[robot].ids[pose]))
+        for robot, pose in zip(np.asarray(robots), np.asarray(poses), strict=True)
+    ]
 
 
 def _without_header(rows: Rows, expected: tuple[str, ...]) -> Rows:

@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from pcm_jax import lie
 from pcm_jax.graph.validation import Fault, positive_definite, unit_rotations
@@ -26,7 +27,9 @@ from pcm_jax.graph.validation import Fault, positive_definite, unit_rotations
 TORO_ORDER = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
 
 
-def parameters(coordinates: str, values: np.ndarray, fault: Fault) -> np.ndarray:
+def parameters(
+    coordinates: str, values: Float[np.ndarray, "n k"], fault: Fault
+) -> Float[np.ndarray, "n p"]:
     """The parameters, as jaxlie orders them, `[n, 4]` or `[n, 7]` from a file's columns.
 
     Args:
@@ -45,7 +48,7 @@ def parameters(coordinates: str, values: np.ndarray, fault: Fault) -> np.ndarray
     return unit_rotations(values[:, [6, 3, 4, 5, 0, 1, 2]], 4, fault)
 
 
-def _quaternion(angles: np.ndarray) -> np.ndarray:
+def _quaternion(angles: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
     """(w, x, y, z) `[n, 4]` of Rz(yaw) Ry(pitch) Rx(roll), angles `[n, 3]` in that file's order."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles.T / 2), np.sin(angles.T / 2)
     return np.stack(
@@ -59,7 +62,7 @@ def _quaternion(angles: np.ndarray) -> np.ndarray:
     )
 
 
-def columns(transforms: np.ndarray) -> np.ndarray:
+def columns(transforms: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n k"]:
     """g2o's columns, `[n, 3]` or `[n, 7]`, from jaxlie's parameters."""
     if transforms.shape[1] == 4:
         cos, sin, x, y = transforms.T
@@ -67,7 +70,7 @@ def columns(transforms: np.ndarray) -> np.ndarray:
     return transforms[:, [4, 5, 6, 1, 2, 3, 0]]
 
 
-def symmetric(triangle: np.ndarray) -> np.ndarray:
+def symmetric(triangle: Float[np.ndarray, "e t"]) -> Float[np.ndarray, "e d d"]:
     """`[e, d, d]` from upper triangles `[e, d (d + 1) / 2]`, row by row."""
     upper = triangular(triangle)
     diagonal = np.arange(upper.shape[-1])
@@ -76,7 +79,7 @@ def symmetric(triangle: np.ndarray) -> np.ndarray:
     return full
 
 
-def triangular(triangle: np.ndarray) -> np.ndarray:
+def triangular(triangle: Float[np.ndarray, "e t"]) -> Float[np.ndarray, "e d d"]:
     """Upper triangular `[e, d, d]` from `[e, d (d + 1) / 2]`, row by row."""
     d = int((2 * triangle.shape[1]) ** 0.5)
     upper = np.zeros((len(triangle), d, d))
@@ -84,18 +87,18 @@ def triangular(triangle: np.ndarray) -> np.ndarray:
     return upper
 
 
-def upper_triangle(matrices: np.ndarray) -> np.ndarray:
+def upper_triangle(matrices: Float[np.ndarray, "e d d"]) -> Float[np.ndarray, "e t"]:
     """`[e, d (d + 1) / 2]`, row by row, of symmetric `[e, d, d]`."""
     return matrices[(slice(None), *np.triu_indices(matrices.shape[-1]))]
 
 
-def from_toro_order(triangle: np.ndarray) -> np.ndarray:
+def from_toro_order(triangle: Float[np.ndarray, "e 6"]) -> Float[np.ndarray, "e 6"]:
     """2D triangles `[e, 6]` row by row, from TORO's order I11 I12 I22 I33 I13 I23."""
     slot = {entry: k for k, entry in enumerate(TORO_ORDER)}
     return triangle[:, [slot[int(i), int(j)] for i, j in zip(*np.triu_indices(3), strict=True)]]
 
 
-def looks_like_toro(triangle: np.ndarray, *, expected: bool) -> bool:
+def looks_like_toro(triangle: Float[np.ndarray, "e 6"], *, expected: bool) -> bool:
     """Which order 2D triangles `[e, 6]` are in, by which reading is positive definite.
 
     Args:
@@ -107,7 +110,9 @@ def looks_like_toro(triangle: np.ndarray, *, expected: bool) -> bool:
     return expected if as_toro == as_rows else bool(as_toro > as_rows)
 
 
-def information(triangle: np.ndarray, *, square_root: bool) -> np.ndarray:
+def information(
+    triangle: Float[np.ndarray, "e t"], *, square_root: bool
+) -> Float[np.ndarray, "e d d"]:
     """Information `[e, d, d]` over the file's coordinates, from its numbers.
 
     Args:
@@ -120,13 +125,15 @@ def information(triangle: np.ndarray, *, square_root: bool) -> np.ndarray:
     return np.swapaxes(root, 1, 2) @ root
 
 
-def from_quaternion_vector(matrices: np.ndarray) -> np.ndarray:
+def from_quaternion_vector(matrices: Float[np.ndarray, "e 6 6"]) -> Float[np.ndarray, "e 6 6"]:
     """Over the tangent, from `[e, 6, 6]` over (x, y, z, qx, qy, qz) near the measurement."""
     scale = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
     return matrices * scale[:, None] * scale
 
 
-def from_start_frame(matrices: np.ndarray, measurement: Any) -> np.ndarray:
+def from_start_frame(
+    matrices: Float[np.ndarray, "e d d"], measurement: Any
+) -> Float[np.ndarray, "e d d"]:
     """Over the tangent, from information whose translation part is in the edge's start frame.
 
     Args:

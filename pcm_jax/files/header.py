@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from pcm_jax.errors import FileFormatError, InputWarning
 from pcm_jax.files.text import csv_rows, read_lines
@@ -51,10 +52,10 @@ class Scope:
 
     labels: tuple[str, ...]
     names: tuple[str, ...]
-    codes: np.ndarray
-    robots: np.ndarray
-    ids: np.ndarray
-    indexed: np.ndarray
+    codes: Int[np.ndarray, " c"]
+    robots: Int[np.ndarray, " c"]
+    ids: Int[np.ndarray, " c"]
+    indexed: Bool[np.ndarray, " r"]
 
     def locate(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Robots (indices of `labels`, −1 where unknown) and their poses' ids, of a file's ids."""
@@ -125,7 +126,10 @@ def _symbol_scope(ids: np.ndarray, said: dict[str, tuple[str, str]]) -> Scope:
     kinds = [said.get(letter, ("key", letter)) for letter in letters]
     order = np.argsort([ord(letter) for letter in letters])
     return _scope(
-        [f"symbol {letter}" for letter in letters],
+        [
+            f"symbol {letter} {kind} {name}"
+            for letter, (kind, name) in zip(letters, kinds, strict=True)
+        ],
         [name for _, name in kinds],
         codes=np.array([ord(letter) for letter in letters])[order],
         robots=order,

@@ -11,25 +11,42 @@ from pathlib import Path
 from pcm_jax.errors import FileFormatError
 
 
-def write_text(path: str | PathLike[str], text: str) -> None:
-    """Writes a temporary file beside `path` and moves it there; `.gz` and `.xz` compress.
+def check_target(path: str | PathLike[str]) -> Path:
+    """The path, if a file can be made there.
 
     Raises:
-        FileFormatError: for a folder that does not exist, or cannot be written to.
+        FileFormatError: for a folder that does not exist or must not be written to, and for a path
+            that is itself a folder.
     """
     target = Path(path)
-    data = _compressed(target.suffix, text.encode())
+    if not target.parent.is_dir():
+        raise FileFormatError(target, None, f"there is no folder {target.parent} to write to")
+    if target.is_dir():
+        raise FileFormatError(target, None, "this is a folder, expected a file to write to")
+    if not os.access(target if target.exists() else target.parent, os.W_OK):
+        raise FileFormatError(target, None, "cannot be written: permission denied")
+    return target
+
+
+def write_text(path: str | PathLike[str], text: str) -> None:
+    """`write_bytes` of the text in UTF-8; `.gz` and `.xz` compress."""
+    write_bytes(path, _compressed(Path(path).suffix, text.encode()))
+
+
+def write_bytes(path: str | PathLike[str], data: bytes) -> None:
+    """Writes a temporary file beside `path` and moves it there.
+
+    Raises:
+        FileFormatError: as `check_target`, and where the system refuses.
+    """
     try:
-        if not target.parent.is_dir():
-            raise FileFormatError(target, None, f"there is no folder {target.parent} to write to")
-        if target.is_dir():
-            raise FileFormatError(target, None, "this is a folder, expected a file to write to")
+        target = check_target(path)
         if target.exists() and not target.is_file():
             target.write_bytes(data)  # a device or pipe must not be replaced by a file
         else:
             _replace(target, data)
     except OSError as error:
-        raise FileFormatError(target, None, f"cannot be written: {error.strerror}") from None
+        raise FileFormatError(path, None, f"cannot be written: {error.strerror}") from None
 
 
 def _replace(target: Path, data: bytes) -> None:

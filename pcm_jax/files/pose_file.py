@@ -12,6 +12,7 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
@@ -67,10 +68,10 @@ class Lines:
         line: int64 `[k]`.
     """
 
-    ids: np.ndarray
-    transforms: np.ndarray
-    information: np.ndarray
-    line: np.ndarray
+    ids: Int[np.ndarray, "k ends"]
+    transforms: Float[np.ndarray, "k p"]
+    information: Float[np.ndarray, "k d d"]
+    line: Int[np.ndarray, " k"]
 
     def __len__(self) -> int:
         return len(self.line)
@@ -220,7 +221,9 @@ def _checked(path: str, edges: Lines, repair: str | None) -> tuple[Lines, int]:
     return dataclasses.replace(edges, information=information), clipped
 
 
-def definite(information: np.ndarray, fault: Fault, repair: str | None) -> tuple[np.ndarray, int]:
+def definite(
+    information: Float[np.ndarray, "e d d"], fault: Fault, repair: str | None
+) -> tuple[Float[np.ndarray, "e d d"], int]:
     """Positive definite `[e, d, d]`, and how many were clipped to be that.
 
     Raises:

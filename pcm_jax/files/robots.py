@@ -12,6 +12,7 @@ from typing import Any
 
 import jaxlie
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files.coordinates import upper_triangle
@@ -41,12 +42,12 @@ class Table:
         paths: the files.
     """
 
-    robot: np.ndarray
-    ids: np.ndarray
-    transforms: np.ndarray
-    information: np.ndarray
-    file: np.ndarray
-    line: np.ndarray
+    robot: Int[np.ndarray, "k ends"]
+    ids: Int[np.ndarray, "k ends"]
+    transforms: Float[np.ndarray, "k p"]
+    information: Float[np.ndarray, "k d d"]
+    file: Int[np.ndarray, " k"]
+    line: Int[np.ndarray, " k"]
     paths: tuple[str, ...]
 
     def __getitem__(self, rows: np.ndarray) -> Table:
@@ -59,6 +60,11 @@ class Table:
 
     def __len__(self) -> int:
         return len(self.line)
+
+    @property
+    def first_path(self) -> str:
+        """The file of the first row."""
+        return self.paths[self.file[0]]
 
     @property
     def fault(self) -> Fault:
@@ -89,7 +95,7 @@ def assemble(
     robots = _robots(files, scopes)
     vertices = _table([file.vertices for file in files], files, scopes, list(robots))
     edges = _table([file.edges for file in files], files, scopes, list(robots))
-    _check_robots(edges)
+    _check_robots(vertices, edges)
     edges = edges[first_copies(edges)]
     inside = edges.robot[:, 0] == edges.robot[:, 1]
     in_order = any(ORDER_LINE in file.comments for file in files)
@@ -139,8 +145,8 @@ def _table(
     )
 
 
-def _check_robots(edges: Table) -> None:
-    """Every edge's robots are defined by some file."""
+def _check_robots(vertices: Table, edges: Table) -> None:
+    """Every vertex is of a known robot, and every edge's robots are defined by some file."""
     unknown = edges.robot < 0
 
     def problem(row: int) -> str:
@@ -151,6 +157,11 @@ def _check_robots(edges: Table) -> None:
         )
 
     raise_first(unknown.any(axis=1), edges.fault, problem)
+    raise_first(
+        vertices.robot[:, 0] < 0,
+        vertices.fault,
+        lambda row: f"vertex {vertices.ids[row, 0]} is not in the file's id table",
+    )
 
 
 def pose_text(pose: Any) -> str:
@@ -160,7 +171,7 @@ def pose_text(pose: Any) -> str:
     return f"{chr(letter)}{symbols.indices_of(key)[0]}" if letter else str(pose)
 
 
-def first_copies(edges: Table) -> np.ndarray:
+def first_copies(edges: Table) -> Bool[np.ndarray, " k"]:
     """Which edges to keep, bool `[k]`, so that one repeated from file to file counts once.
 
     An edge of a file is a copy when an earlier file has one between the same poses with the same
@@ -236,17 +247,14 @@ def _map(vertices: Table, edges: Table, ids: np.ndarray, name: str) -> PoseGraph
     group: Any = jaxlie.SE2 if edges.transforms.shape[1] == 4 else jaxlie.SE3
     measurement = group(edges.transforms)
     try:
-        if given is not None:
-            poses = group(given)
-            check_connected(tail, head, len(ids), ids=ids)
-        else:
-            poses = spanning_tree_poses(
-                tail, head, measurement, len(ids), prefer="odometry", ids=ids
-            )
+        check_connected(tail, head, len(ids), ids=ids)
     except InputError as error:
-        defined = edges if given is None else vertices
-        path = defined.paths[defined.file[0]]
+        path = (vertices if len(vertices) else edges).first_path
         raise FileFormatError(path, None, str(error)) from None
+    if given is None:
+        poses = spanning_tree_poses(tail, head, measurement, len(ids), prefer="odometry")
+    else:
+        poses = group(given)
     return PoseGraph.from_checked(
         poses=poses,
         tail=tail,

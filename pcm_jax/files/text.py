@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.graph.validation import Fault, check_finite, raise_first
@@ -85,8 +86,8 @@ class Rows:
     """
 
     path: str
-    line: np.ndarray
-    widths: np.ndarray
+    line: Int[np.ndarray, " n"]
+    widths: Int[np.ndarray, " n"]
     words: list[str]
 
     def __len__(self) -> int:
@@ -135,7 +136,7 @@ class Rows:
         """The words of one column."""
         return self.words[index :: self.widths[0]] if len(self) else []
 
-    def integers(self, start: int, stop: int) -> np.ndarray:
+    def integers(self, start: int, stop: int) -> Int[np.ndarray, "n k"]:
         """Columns `start` to `stop` as int64 `[n, stop - start]`, never by way of floats.
 
         Raises:
@@ -143,7 +144,7 @@ class Rows:
         """
         return self._converted(start, stop, int, np.int64, "an integer id of 64 bits")
 
-    def floats(self, start: int, stop: int) -> np.ndarray:
+    def floats(self, start: int, stop: int) -> Float[np.ndarray, "n k"]:
         """Columns `start` to `stop` as float64 `[n, stop - start]`.
 
         Raises:

@@ -7,6 +7,7 @@ from typing import Any
 
 import jaxlie
 import numpy as np
+from jaxtyping import Float
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError, InputError
@@ -19,7 +20,7 @@ from pcm_jax.graph.pose_graph import PoseGraph
 COLUMNS = "timestamp x y z qx qy qz qw"
 
 
-def read_tum(path: str | PathLike[str]) -> tuple[np.ndarray, Any]:
+def read_tum(path: str | PathLike[str]) -> tuple[Float[np.ndarray, " n"], Any]:
     """Timestamps and poses of a TUM trajectory; blank lines and comments are skipped.
 
     Returns:
@@ -88,7 +89,7 @@ def write_trajectory(path: str | PathLike[str], poses: Any, *, timestamps: Any =
     write_text(path, "\n".join([f"# {COLUMNS}", *lines, ""]))
 
 
-def _in_space(parameters: np.ndarray) -> np.ndarray:
+def _in_space(parameters: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 7"]:
     """SE(3) parameters of SE(2) ones: rotations about z."""
     cos, sin, x, y = parameters.T
     half = 0.5 * np.arctan2(sin, cos)

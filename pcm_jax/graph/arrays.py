@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jaxlie
 import numpy as np
+from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
@@ -93,7 +94,7 @@ def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
 
 def as_information(
     information: Any, covariance: Any, transforms: Any, tangent_order: str
-) -> np.ndarray:
+) -> Float[np.ndarray, "m d d"]:
     """Information `[m, d, d]` over (translation, rotation), symmetric and positive definite.
 
     Args:
@@ -122,7 +123,9 @@ def as_information(
     return _reordered(matrices, d, lie.module_of(group).MATRIX_DIM - 1, tangent_order)
 
 
-def _reordered(matrices: np.ndarray, d: int, translation: int, tangent_order: str) -> np.ndarray:
+def _reordered(
+    matrices: Float[np.ndarray, "m d d"], d: int, translation: int, tangent_order: str
+) -> Float[np.ndarray, "m d d"]:
     if tangent_order not in ORDERS:
         raise InputError(f"tangent_order: {tangent_order!r} given, expected one of {ORDERS}")
     if tangent_order == ORDERS[0]:
@@ -131,7 +134,7 @@ def _reordered(matrices: np.ndarray, d: int, translation: int, tangent_order: st
     return matrices[:, order][:, :, order]
 
 
-def as_ids(ids: Any, count: int) -> np.ndarray:
+def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
     """int64 `[count]`, all different; 0 … count − 1 for None."""
     if ids is None:
         return np.arange(count, dtype=np.int64)

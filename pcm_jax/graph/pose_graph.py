@@ -135,17 +135,9 @@ class PoseGraph:
             InputWarning: for quaternions further than 1e-3 from unit length, which are scaled.
         """
         edges = arrays.as_transforms(measurement, "measurement")
-        count = len(lie.parameters(edges))
-        given = None if poses is None else arrays.as_transforms(poses, "poses")
-        if given is not None and lie.group_of(given) is not lie.group_of(edges):
-            raise InputError(
-                f"measurement: {lie.group_of(edges).__name__} given,"
-                f" expected {lie.group_of(given).__name__} like the poses"
-            )
-        n = len(lie.parameters(given)) if given is not None else None
-        if n == 0:
-            raise InputError("poses: none given, expected at least one")
-        tail, head = as_edges(tail, head, n, count)
+        given = None if poses is None else _poses_like(edges, poses)
+        n = None if given is None else len(lie.parameters(given))
+        tail, head = as_edges(tail, head, n, len(lie.parameters(edges)))
         n = n or 1 + int(max(tail.max(initial=0), head.max(initial=0)))
         matrices = arrays.as_information(information, covariance, edges, tangent_order)
         ids = arrays.as_ids(ids, n)
@@ -153,7 +145,6 @@ class PoseGraph:
             given = spanning_tree_poses(tail, head, edges, n, prefer="odometry", ids=ids)
         else:
             check_connected(tail, head, n, ids=ids)
-        source = arrays.as_names(source, count)
         return cls.from_checked(
             poses=given,
             tail=tail,
@@ -162,7 +153,7 @@ class PoseGraph:
             information=matrices,
             ids=ids,
             name=name,
-            source=source,
+            source=arrays.as_names(source, len(tail)),
         )
 
     @classmethod
@@ -231,6 +222,19 @@ class PoseGraph:
             ids=ids,
             name=name,
         )
+
+
+def _poses_like(edges: Any, poses: Any) -> Any:
+    """The poses of `from_arrays`, of the group of its measurements."""
+    given = arrays.as_transforms(poses, "poses")
+    if lie.group_of(given) is not lie.group_of(edges):
+        raise InputError(
+            f"measurement: {lie.group_of(edges).__name__} given,"
+            f" expected {lie.group_of(given).__name__} like the poses"
+        )
+    if not len(lie.parameters(given)):
+        raise InputError("poses: none given, expected at least one")
+    return given
 
 
 def as_edges(tail: Any, head: Any, n: int | None, count: int) -> tuple[np.ndarray, np.ndarray]:

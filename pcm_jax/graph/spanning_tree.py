@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
@@ -26,7 +27,7 @@ def spanning_tree_poses(
     root: int = 0,
     root_pose: Any = None,
     prefer: str = "shortest",
-    ids: np.ndarray | None = None,
+    ids: Int[np.ndarray, " n"] | None = None,
 ) -> Any:
     """Poses composed from measurements along a spanning tree.
 
@@ -66,14 +67,14 @@ def spanning_tree_poses(
 
 
 def spanning_tree(
-    tail: np.ndarray,
-    head: np.ndarray,
+    tail: Int[np.ndarray, " e"],
+    head: Int[np.ndarray, " e"],
     n: int,
     *,
     root: int = 0,
     prefer: str = "shortest",
-    ids: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ids: Int[np.ndarray, " n"] | None = None,
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """A spanning tree rooted at `root`; see `spanning_tree_poses` for the arguments.
 
     Of several edges between two poses, the first is used.
@@ -108,7 +109,11 @@ def spanning_tree(
 
 
 def check_connected(
-    tail: np.ndarray, head: np.ndarray, n: int, *, ids: np.ndarray | None = None
+    tail: Int[np.ndarray, " e"],
+    head: Int[np.ndarray, " e"],
+    n: int,
+    *,
+    ids: Int[np.ndarray, " n"] | None = None,
 ) -> None:
     """Raises `InputError` unless edges join all `n` poses; `ids` name them in the message."""
     from scipy.sparse import csgraph

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,41 +34,44 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
     n = pose_graph.num_poses
     cuts = _checked_cuts(at, n)
     start = np.concatenate([[0], cuts]).astype(np.int64)
+    bounds = enumerate(pairwise([*start, n]))
+    maps = tuple(_piece(pose_graph, robot, first, last) for robot, (first, last) in bounds)
     tail, head = np.asarray(pose_graph.tail), np.asarray(pose_graph.head)
     robot_of = np.searchsorted(cuts, np.arange(n), side="right")
+    crossing = np.flatnonzero((robot_of[tail] != robot_of[head]) & (np.abs(tail - head) > 1))
+    tail, head = tail[crossing], head[crossing]
     robot_a, robot_b = robot_of[tail], robot_of[head]
-    crossing = (robot_a != robot_b) & (np.abs(tail - head) > 1)
-    measurement = lie.as_numpy(pose_graph.measurement)
-    information = np.asarray(pose_graph.information)
-    maps = []
-    for robot, (first, last) in enumerate(zip(start, [*start[1:], n], strict=True)):
-        inside = np.flatnonzero((robot_a == robot) & (robot_b == robot))
-        ids = pose_graph.ids[first:last]
-        _check_piece(tail[inside] - first, head[inside] - first, robot, ids)
-        maps.append(
-            PoseGraph.from_checked(
-                poses=lie.take(lie.as_numpy(pose_graph.poses), slice(first, last)),
-                tail=tail[inside] - first,
-                head=head[inside] - first,
-                measurement=lie.take(measurement, inside),
-                information=information[inside],
-                ids=ids,
-                name="",
-                source=pose_graph.source[inside],
-            )
-        )
     closures = LoopClosures.from_checked(
-        (
-            robot_a[crossing],
-            tail[crossing] - start[robot_a[crossing]],
-            robot_b[crossing],
-            head[crossing] - start[robot_b[crossing]],
-        ),
-        lie.take(measurement, crossing),
-        information[crossing],
+        (robot_a, tail - start[robot_a], robot_b, head - start[robot_b]),
+        lie.take(lie.as_numpy(pose_graph.measurement), crossing),
+        np.asarray(pose_graph.information)[crossing],
         pose_graph.source[crossing],
     )
-    return MultiRobotGraph(tuple(maps), closures)
+    return MultiRobotGraph(maps, closures)
+
+
+def _piece(pose_graph: PoseGraph, robot: int, first: int, last: int) -> PoseGraph:
+    """The map of poses `first` … `last` − 1 and the edges between them."""
+    ends = np.stack([np.asarray(pose_graph.tail), np.asarray(pose_graph.head)])
+    inside = np.flatnonzero(((ends >= first) & (ends < last)).all(axis=0))
+    tail, head = ends[:, inside] - first
+    ids = pose_graph.ids[first:last]
+    try:
+        check_connected(tail, head, len(ids), ids=ids)
+    except InputError as error:
+        raise InputError(
+            f"at: piece {robot + 1} (poses {ids[0]} to {ids[-1]}) cannot be a map: {error}"
+        ) from None
+    return PoseGraph.from_checked(
+        poses=lie.take(lie.as_numpy(pose_graph.poses), slice(first, last)),
+        tail=tail,
+        head=head,
+        measurement=lie.take(lie.as_numpy(pose_graph.measurement), inside),
+        information=np.asarray(pose_graph.information)[inside],
+        ids=ids,
+        name="",
+        source=pose_graph.source[inside],
+    )
 
 
 def _checked_cuts(at: Any, n: int) -> np.ndarray:
@@ -82,12 +86,3 @@ def _checked_cuts(at: Any, n: int) -> np.ndarray:
     if (np.diff(cuts) <= 0).any():
         raise InputError(f"at: {cuts.tolist()} given, expected ascending pose indices")
     return cuts
-
-
-def _check_piece(tail: np.ndarray, head: np.ndarray, robot: int, ids: np.ndarray) -> None:
-    try:
-        check_connected(tail, head, len(ids), ids=ids)
-    except InputError as error:
-        raise InputError(
-            f"at: piece {robot + 1} (poses {ids[0]} to {ids[-1]}) cannot be a map: {error}"
-        ) from None

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax.errors import InputError, InputWarning
 
@@ -35,7 +36,7 @@ def raise_first(culprits: Any, fault: Fault, problem: Callable[[int], str]) -> N
         raise fault(row, problem(row))
 
 
-def check_finite(values: np.ndarray, fault: Fault) -> None:
+def check_finite(values: Float[np.ndarray, "n *rest"], fault: Fault) -> None:
     """Every number of `values` `[n, ...]` is finite, and small enough for its square to be."""
     rows = values.reshape(len(values), -1) if values.size else np.zeros((len(values), 1))
     finite = np.abs(rows) <= LARGEST
@@ -48,7 +49,7 @@ def check_finite(values: np.ndarray, fault: Fault) -> None:
     raise_first(~finite.all(axis=1), fault, problem)
 
 
-def as_indices(values: Any, count: int | None, argument: str, of: str) -> np.ndarray:
+def as_indices(values: Any, count: int | None, argument: str, of: str) -> Int[np.ndarray, " m"]:
     """Indices `[m]` as int32, each in 0 … count − 1.
 
     Args:
@@ -75,7 +76,9 @@ def as_indices(values: Any, count: int | None, argument: str, of: str) -> np.nda
     return indices.astype(np.int32)
 
 
-def check_self_loops(tail: np.ndarray, head: np.ndarray, fault: Fault) -> None:
+def check_self_loops(
+    tail: Int[np.ndarray, " e"], head: Int[np.ndarray, " e"], fault: Fault
+) -> None:
     """No edge ends where it starts."""
     raise_first(
         tail == head,
@@ -84,7 +87,9 @@ def check_self_loops(tail: np.ndarray, head: np.ndarray, fault: Fault) -> None:
     )
 
 
-def unit_rotations(parameters: np.ndarray, size: int, fault: Fault) -> np.ndarray:
+def unit_rotations(
+    parameters: Float[np.ndarray, "n p"], size: int, fault: Fault
+) -> Float[np.ndarray, "n p"]:
     """Parameters of transforms with their rotations scaled to unit length.
 
     Args:
@@ -111,7 +116,7 @@ def unit_rotations(parameters: np.ndarray, size: int, fault: Fault) -> np.ndarra
     return np.concatenate([parameters[:, :size] / norm[:, None], parameters[:, size:]], axis=1)
 
 
-def positive_definite(matrices: np.ndarray) -> np.ndarray:
+def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, " m"]:
     """Which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
     rest = np.array(matrices, dtype=np.float64)
     good = np.ones(len(rest), bool)
@@ -124,7 +129,9 @@ def positive_definite(matrices: np.ndarray) -> np.ndarray:
     return good
 
 
-def check_information(matrices: np.ndarray, fault: Fault, what: str = "information") -> np.ndarray:
+def check_information(
+    matrices: Float[np.ndarray, "m d d"], fault: Fault, what: str = "information"
+) -> Float[np.ndarray, "m d d"]:
     """`[m, d, d]` made exactly symmetric, after checking that it nearly was and is definite.
 
     Raises:
@@ -152,7 +159,9 @@ def check_information(matrices: np.ndarray, fault: Fault, what: str = "informati
     return symmetric
 
 
-def clip_to_definite(matrices: np.ndarray) -> tuple[np.ndarray, int]:
+def clip_to_definite(
+    matrices: Float[np.ndarray, "m d d"],
+) -> tuple[Float[np.ndarray, "m d d"], int]:
     """Symmetric `[m, d, d]` with every eigenvalue at least 1e-9 of the matrix's largest one.
 
     Only matrices without a Cholesky factor are touched.

@@ -82,7 +82,7 @@ def test_without_its_table_a_sequential_file_is_one_robot(tmp_path, make_robots)
         ("vertex,id\n", "ids.csv:1: expected the columns vertex,robot,id"),
         ("vertex,robot,id\n0,a\n", "ids.csv:2: 2 columns, expected 3"),
         ("vertex,robot,id\n0,a,x\n", "ids.csv:2: 'x' given, expected an integer id"),
-        ("vertex,robot,id\n0,a,0\n", "edge to pose|no VERTEX|holds that robot"),
+        ("vertex,robot,id\n0,a,0\n1,a,1\n", "edge to pose 2, but no file given"),
     ],
 )
 def test_a_bad_table(tmp_path, make_robots, text, message):
@@ -113,6 +113,23 @@ def test_what_cannot_be_written(tmp_path, make_robots, changes, message):
     with pytest.raises(InputError, match=message):
         write_g2o(tmp_path / "graph.g2o", graph, ids=changes.get("ids", "original"))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_table_without_a_vertex(write):
+    path = write("# pcm_jax id-table graph.ids.csv", "VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 0 0 0")
+    write("vertex,robot,id", "0,a,0", name="graph.ids.csv")
+    with pytest.raises(InputError, match=r"g2o:3: vertex 1 is not in the file's id table"):
+        read_graph(path)
+
+
+def test_written_files_are_read_together(tmp_path, make_robots):
+    """Their letters are chosen afresh in each file; names tell whether robots are the same."""
+    one, two = make_robots(jaxlie.SE2, ("ann", "bob")), make_robots(jaxlie.SE2, ("cat", "dog"))
+    write_g2o(tmp_path / "1.g2o", one)
+    write_g2o(tmp_path / "2.g2o", two)
+    both = read_graph(tmp_path / "1.g2o", tmp_path / "2.g2o")
+    assert both.names == ("ann", "bob", "cat", "dog")
+    assert len(both.closures) == len(one.closures) + len(two.closures)
 
 
 def test_the_line_cannot_be_written(tmp_path):
