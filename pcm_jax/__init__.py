@@ -1,7 +1,98 @@
 """Pairwise consistent measurement set maximization (PCM) in JAX.
 
-The names of the public interface are loaded when first used, so that
-`import pcm_jax` costs little more than `import jax`.
+From the pose graphs of several robots and a pile of candidate loop closures between them, most of
+which may be wrong, to the closures to believe and one merged map:
+
+    graph = pcm_jax.read_graph("a.g2o", "b.g2o", closures="candidates.csv")
+    result = pcm_jax.merge(graph)
+
+The names below are loaded when first used, so that `import pcm_jax` costs next to nothing.
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pcm_jax.clique import Clique, maximum_clique
+    from pcm_jax.consistency import (
+        ConsistencyProblem,
+        chi2_gate,
+        consistency_graph,
+        consistency_problem,
+        squared_mahalanobis,
+        squared_mahalanobis_of,
+        to_networkx,
+    )
+    from pcm_jax.errors import FileFormatError, InputError, InputWarning
+    from pcm_jax.files import read_graph, read_trajectory, write_g2o, write_trajectory
+    from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
+    from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
+    from pcm_jax.merging import MergeResult, merge
+    from pcm_jax.selection import Selection, select, select_from
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Clique",
+    "ConsistencyProblem",
+    "FileFormatError",
+    "InputError",
+    "InputWarning",
+    "LoopClosures",
+    "MergeResult",
+    "MultiRobotGraph",
+    "PoseGraph",
+    "Selection",
+    "Solution",
+    "chi2_gate",
+    "consistency_graph",
+    "consistency_problem",
+    "joint_marginal_covariance",
+    "maximum_clique",
+    "merge",
+    "optimize",
+    "read_graph",
+    "read_trajectory",
+    "select",
+    "select_from",
+    "split",
+    "squared_mahalanobis",
+    "squared_mahalanobis_of",
+    "to_networkx",
+    "write_g2o",
+    "write_trajectory",
+]
+
+_NAMES_OF = {
+    "errors": ("FileFormatError", "InputError", "InputWarning"),
+    "graph": ("LoopClosures", "MultiRobotGraph", "PoseGraph", "split"),
+    "files": ("read_graph", "read_trajectory", "write_g2o", "write_trajectory"),
+    "mapping": ("Solution", "joint_marginal_covariance", "optimize"),
+    "consistency": (
+        "ConsistencyProblem",
+        "chi2_gate",
+        "consistency_graph",
+        "consistency_problem",
+        "squared_mahalanobis",
+        "squared_mahalanobis_of",
+        "to_networkx",
+    ),
+    "clique": ("Clique", "maximum_clique"),
+    "selection": ("Selection", "select", "select_from"),
+    "merging": ("MergeResult", "merge"),
+}
+_HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,16 @@
+"""The command line, `pcm-jax`: parse, call, print.
+
+entry       `main`: runs a command; errors and warnings become lines on standard error
+arguments   the options of all commands
+demo, merge, inspect, simulate     one module per command, each with a `run(arguments)`
+inputs      the graph that the options describe
+outputs     where results may be written, checked before anything is computed
+progress    what is being done, for work that takes more than two seconds
+table       columns of text
+
+Nothing heavy is imported before a command needs it, so that `--help` answers at once.
+"""
+
+from pcm_jax.cli.entry import main
+
+__all__ = ["main"]

@@ -1,0 +1,178 @@
+"""The options of all commands."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pcm_jax import __version__
+
+DEMO_PICTURE = Path("pcm-jax-demo.png")
+
+# Options that `simulate city` and `simulate sessions` share; defaults are the library's.
+_WORLD = {
+    "--poses": (int, "N", "poses of each robot"),
+    "--inliers": (int, "N", "true closures between each two robots"),
+    "--aliased-groups": (int, "N", "groups of false closures that agree among themselves"),
+    "--aliased-size": (int, "N", "closures in each of these groups"),
+    "--random": (int, "N", "random closures between each two robots"),
+    "--random-range": (float, "M", "metres between the ends of a random closure"),
+    "--sigma-translation": (float, "M", "standard deviation of measured translations, metres"),
+    "--sigma-rotation": (float, "RAD", "standard deviation of measured rotations, radians"),
+    "--reach": (float, "M", "metres between two poses that can measure each other"),
+}
+_CITY = {
+    "--robots": (int, "N", "number of robots"),
+    "--blocks": (int, "N", "blocks of 5 m along each side of the city"),
+}
+_SESSIONS = {
+    "--sessions": (int, "N", "number of drives"),
+    "--closure-sigma-translation": (float, "M", "the same of closures, metres"),
+    "--closure-sigma-rotation": (float, "RAD", "the same of closures, radians"),
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage in front of it."""
+
+    def __init__(self, **options: Any):
+        super().__init__(allow_abbrev=False, **options)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"error: {message} (see {self.prog} --help)\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of `pcm-jax`; the options it returns name the `command` to run."""
+    top = _Parser(
+        prog="pcm-jax",
+        description="Merge the pose graphs of several robots by the largest pairwise consistent "
+        "set of loop closures between them.",
+        epilog="Exit status: 0, or 2 for bad input, with one line that says what is wrong.",
+    )
+    top.add_argument("--version", action="version", version=f"pcm-jax {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _demo(commands)
+    _merge(commands)
+    _inspect(commands)
+    _simulate(commands)
+    return top
+
+
+def _command(commands: Any, name: str, summary: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=summary, description=summary)
+
+
+def _seed(command: argparse.ArgumentParser, meaning: str, default: Any = 0) -> None:
+    command.add_argument("--seed", type=int, metavar="N", default=default, help=meaning)
+
+
+def _demo(commands: Any) -> None:
+    demo = _command(
+        commands,
+        "demo",
+        "Simulate two robots with 15 true and 100 false closures; merge them with all and by PCM. "
+        f"Writes {DEMO_PICTURE}.",
+    )
+    _seed(demo, "of the simulated world (default: 0)")
+
+
+def _merge(commands: Any) -> None:
+    merge = _command(commands, "merge", "Merge the robots' maps in pose-graph files.")
+    _files(merge)
+    merge.add_argument(
+        "--closures", type=Path, metavar="CSV", help="further candidate closures, one a line"
+    )
+    merge.add_argument(
+        "--split",
+        type=int,
+        nargs="+",
+        metavar="POSE",
+        help="cut one trajectory into robots a, b, ... before these poses (0, 1, ... in the order "
+        "of ids); its loop closures across the cuts become the candidates",
+    )
+    merge.add_argument("--method", default="pcm-exact", help="default: %(default)s")
+    merge.add_argument(
+        "--confidence",
+        type=float,
+        default=0.99,
+        metavar="P",
+        help="probability that two right closures pass the gate (default: %(default)s)",
+    )
+    merge.add_argument(
+        "--minimum-inliers",
+        type=int,
+        default=2,
+        metavar="N",
+        help="two robots that accept fewer closures accept none (default: %(default)s)",
+    )
+    merge.add_argument(
+        "--time-limit", type=float, metavar="S", help="seconds for each robot pair's clique search"
+    )
+    _reading(merge)
+    for name, what in (
+        ("output", "the merged maps, as g2o"),
+        ("report", "what was accepted, and how well it fits, as JSON"),
+        ("plot", "a picture of the merged maps"),
+    ):
+        merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")
+    _seed(merge, "accepted for all commands; no method of today draws random numbers", None)
+
+
+def _inspect(commands: Any) -> None:
+    inspect = _command(commands, "inspect", "Say what pose-graph files hold and what is odd.")
+    _files(inspect)
+    inspect.add_argument("--closures", type=Path, metavar="CSV", help="candidate closures as well")
+    _information(inspect)
+
+
+def _simulate(commands: Any) -> None:
+    simulate = _command(
+        commands, "simulate", "Write simulated maps, candidate closures and which of them are true."
+    )
+    worlds = simulate.add_subparsers(dest="world", required=True, metavar="WORLD")
+    for world, summary, options in (
+        ("city", "Robots in one city of square blocks, SE(2).", _CITY),
+        ("sessions", "Drives over one rolling campus, SE(3).", _SESSIONS),
+    ):
+        command = _command(worlds, world, summary)
+        command.add_argument(
+            "--output", type=Path, required=True, metavar="DIR", help="folder, made if need be"
+        )
+        command.add_argument(
+            "--csv",
+            action="store_true",
+            help="one plain g2o file per robot and a CSV file of candidates, not one g2o file",
+        )
+        _seed(command, "the same seed gives the same world (default: 0)")
+        for option, (kind, metavar, meaning) in {**_WORLD, **options}.items():
+            command.add_argument(
+                option, type=kind, metavar=metavar, help=meaning, default=argparse.SUPPRESS
+            )
+
+
+def _files(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "files",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="g2o, TORO or iSAM text, plain, .gz or .xz",
+    )
+
+
+def _information(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--information",
+        choices=("as-written", "sqrt"),
+        default="as-written",
+        help="whether the files hold the information or its square root (default: %(default)s)",
+    )
+
+
+def _reading(command: argparse.ArgumentParser) -> None:
+    _information(command)
+    command.add_argument(
+        "--repair", choices=("clip",), help="clip information that is not positive definite"
+    )

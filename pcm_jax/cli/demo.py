@@ -1,0 +1,106 @@
+"""`pcm-jax demo`: what PCM is for, in one table and one picture."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcm_jax.cli import outputs
+from pcm_jax.cli.arguments import DEMO_PICTURE
+from pcm_jax.cli.progress import Progress
+from pcm_jax.cli.table import table
+from pcm_jax.errors import InputWarning
+from pcm_jax.evaluation import ate_rmse
+from pcm_jax.files.output import check_target
+from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.mapping import optimize
+from pcm_jax.merging import MergeResult, merge
+from pcm_jax.simulation import SimulatedWorld, simulate_city
+
+HEAD = ("method", "accepted", "true", "false", "ATE RMSE (m)", "seconds", "solver")
+EVERYTHING, PCM = "everything accepted", "PCM"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """One way of merging, and its wall-clock seconds (without optimising the maps)."""
+
+    result: MergeResult
+    seconds: float
+
+
+def run(options: Any) -> None:
+    """Prints the table and saves the picture in the current folder."""
+    check_target(DEMO_PICTURE)
+    outputs.check_picture(DEMO_PICTURE)
+    with Progress() as progress:
+        progress("simulating")
+        world = simulate_city(seed=options.seed)
+        outcomes = merged_both_ways(world, progress)
+        progress("drawing")
+        draw(world, outcomes, DEMO_PICTURE)
+    print(f"{description(world)}\n\n{comparison(world, outcomes)}\n\nwrote {DEMO_PICTURE}")
+
+
+def merged_both_ways(world: SimulatedWorld, progress: Any = None) -> dict[str, Outcome]:
+    """The world's maps merged by PCM, and by all closures; each map is optimised once."""
+    maps = tuple(optimize(one).graph for one in world.graph.maps)
+    graph = MultiRobotGraph(maps, world.graph.closures)
+    outcomes = {}
+    for name, method in ((PCM, "pcm-exact"), (EVERYTHING, "all")):
+        start = time.perf_counter()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)  # the table says it
+            result = merge(graph, method=method, optimized=True, progress=progress)
+        outcomes[name] = Outcome(result, time.perf_counter() - start)
+    return outcomes
+
+
+def description(world: SimulatedWorld) -> str:
+    """What was simulated, in two lines."""
+    robots = " and ".join(f"{one.name} ({one.num_poses} poses)" for one in world.graph.maps)
+    groups = [int((world.labels == k).sum()) for k in range(1, world.labels.max() + 1)]
+    return (
+        f"Simulated city, robots {robots}.\n{len(world.labels)} candidate closures between them:"
+        f" {int(world.inliers.sum())} true, {' + '.join(map(str, groups))} false that agree among"
+        f" themselves, {int((world.labels < 0).sum())} at random."
+    )
+
+
+def comparison(world: SimulatedWorld, outcomes: dict[str, Outcome]) -> str:
+    """The table of both ways to merge."""
+    rows = []
+    for name, outcome in outcomes.items():
+        accepted, solution = outcome.result.inliers, outcome.result.solution
+        error = float(ate_rmse(outcome.result.graph.maps, world.truth, align="umeyama"))
+        rows.append(
+            [
+                name,
+                int(accepted.sum()),
+                int((accepted & world.inliers).sum()),
+                int((accepted & ~world.inliers).sum()),
+                f"{error:.3f}",
+                f"{outcome.seconds:.1f}",
+                "converged" if solution.converged else "did not converge",
+            ]
+        )
+    return table(HEAD, rows)
+
+
+def draw(world: SimulatedWorld, outcomes: dict[str, Outcome], path: Path) -> None:
+    """Saves the true maps, and both merged ones, side by side."""
+    from pcm_jax.evaluation.plots import plot_comparison
+
+    panels: dict[str, Any] = {"Ground truth": (world.truth, None)}
+    for name in (EVERYTHING, PCM):
+        result = outcomes[name].result
+        panels[name[0].upper() + name[1:]] = (result.graph.maps, np.asarray(result.inliers))
+    axes = plot_comparison(
+        panels, world.graph.closures, inliers=world.inliers, names=world.graph.names
+    )
+    outputs.save_picture(path, axes[0])

@@ -1,0 +1,63 @@
+"""The graph that a command's options describe."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+from pcm_jax.errors import InputError
+from pcm_jax.files import read_graph
+from pcm_jax.graph import MultiRobotGraph, split
+
+
+def graph_to_merge(options: Any) -> MultiRobotGraph:
+    """Reads and cuts, and checks that there is something to merge.
+
+    What was corrected in the files is warned of when all is well: bad input gets one line.
+
+    Raises:
+        InputError: for bad files, and for too few robots or no closures between them.
+    """
+    with warnings.catch_warnings(record=True) as corrections:
+        graph = read_graph(
+            *options.files,
+            closures=options.closures,
+            information=options.information,
+            repair=options.repair,
+        )
+        graph = _cut(graph, options.split, options.files) if options.split else graph
+        _check_mergeable(graph, options.files)
+    for correction in corrections:
+        warnings.warn(correction.message, stacklevel=2)
+    return graph
+
+
+def _cut(graph: MultiRobotGraph, at: list[int], files: list[Path]) -> MultiRobotGraph:
+    if len(graph.maps) > 1:
+        raise InputError(
+            f"--split: {_names(files)} hold {len(graph.maps)} robots, expected one to cut"
+        )
+    try:
+        return split(graph.maps[0], at)
+    except InputError as error:
+        raise InputError(f"--split: {str(error).removeprefix('at: ')}") from None
+
+
+def _check_mergeable(graph: MultiRobotGraph, files: list[Path]) -> None:
+    if len(graph.maps) < 2:
+        middle = max(1, graph.maps[0].num_poses // 2)
+        raise InputError(
+            f"{_names(files)}: one robot, expected at least two; give each robot's file, or cut"
+            f" this trajectory into two robots, for example with --split {middle}"
+        )
+    if not len(graph.closures):
+        raise InputError(
+            f"{_names(files)}: {len(graph.maps)} robots ({', '.join(graph.names)}) and no loop"
+            " closure between them, expected at least one; candidates can come from a CSV file:"
+            " --closures"
+        )
+
+
+def _names(files: list[Path]) -> str:
+    return ", ".join(map(str, files))

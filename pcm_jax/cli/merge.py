@@ -1,0 +1,105 @@
+"""`pcm-jax merge`: from files to one map, with a report and a picture of it."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from pcm_jax.cli import outputs
+from pcm_jax.cli.progress import Progress
+from pcm_jax.cli.table import table
+
+
+def run(options: Any) -> None:
+    """Reads, merges, writes what was asked for and prints a summary."""
+    _check_outputs(options)
+    with Progress() as progress:
+        progress("reading")
+        result, report = _merged(options, progress)
+        progress("writing")
+        written = list(_written(options, result, report))
+    print(summary(report))
+    for path in written:
+        print(f"wrote {path}")
+
+
+def _check_outputs(options: Any) -> None:
+    inputs = [*options.files, *([options.closures] if options.closures else [])]
+    paths = [path for path in (options.output, options.report, options.plot) if path]
+    outputs.check_outputs(paths, inputs)
+    if options.plot:
+        outputs.check_picture(options.plot)
+
+
+def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
+    from pcm_jax.cli.inputs import graph_to_merge
+    from pcm_jax.merging import merge
+
+    start = time.perf_counter()
+    graph = graph_to_merge(options)
+    read = time.perf_counter() - start
+    result = merge(
+        graph,
+        method=options.method,
+        confidence=options.confidence,
+        minimum_inliers=options.minimum_inliers,
+        time_limit=options.time_limit,
+        progress=progress,
+    )
+    report = result.report()
+    return result, {**report, "seconds": {"read": read, **report["seconds"]}}
+
+
+def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
+    """Writes the files asked for, and gives their paths."""
+    from pcm_jax.files import write_g2o
+    from pcm_jax.files.output import write_text
+
+    if options.output:
+        write_g2o(options.output, result.graph)
+        yield options.output
+    if options.report:
+        write_text(options.report, outputs.json_text(report))
+        yield options.report
+    if options.plot:
+        outputs.save_picture(options.plot, result.plot())
+        yield options.plot
+
+
+def summary(report: dict[str, Any]) -> str:
+    """A report as the text that `pcm-jax merge` prints."""
+    parts = [_robots(report), _pairs(report["robot_pairs"]), _fit(report["solution"])]
+    return "\n\n".join(parts)
+
+
+def _robots(report: dict[str, Any]) -> str:
+    group_of = {name: number for number, names in enumerate(report["groups"], 1) for name in names}
+    rows = [
+        [robot["name"], robot["poses"], robot["edges"], group_of[robot["name"]], _pose(anchor)]
+        for robot, anchor in zip(report["robots"], report["anchors"], strict=True)
+    ]
+    return table(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
+
+
+def _pose(anchor: dict[str, float] | None) -> str:
+    if anchor is None:
+        return "none: no accepted closure leads to this robot"
+    return "  ".join(f"{name} {value:.4g}" for name, value in anchor.items())
+
+
+def _pairs(pairs: list[dict[str, Any]]) -> str:
+    rows = [[f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p)] for p in pairs]
+    return table(["robots", "measured", "accepted", "largest set"], rows)
+
+
+def _optimal(pair: dict[str, Any]) -> str:
+    if pair["optimal"] is None:
+        return "not looked for"
+    return "yes" if pair["optimal"] else f"not proven, at most {pair['upper_bound']}"
+
+
+def _fit(solution: dict[str, Any]) -> str:
+    chi2 = solution["normalized_chi2"]
+    normalized = "no degree of freedom left" if chi2 is None else f"normalised chi2 {chi2:.4g}"
+    end = "converged" if solution["converged"] else "NOT CONVERGED"
+    return f"cost {solution['cost']:.6g} ({normalized}), {end} after {solution['iterations']} steps"
