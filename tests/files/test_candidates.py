@@ -3,7 +3,8 @@ import pytest
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError, InputWarning
-from pcm_jax.files import read_graph
+from pcm_jax.files import read_graph, write_candidates, write_g2o
+from pcm_jax.graph import MultiRobotGraph
 
 UNIT_2D = "1 0 0 1 0 1"
 UNIT_3D = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
@@ -133,3 +134,12 @@ def test_quaternions_of_candidates(solid, write):
     path = write("r,0,s,0,1,2,3,0,0,0,0,1,1,1,1,1,1", name="candidates.csv")
     with pytest.raises(FileFormatError, match="csv:1: quaternion of norm 0, expected norm 1"):
         read_graph(*solid, closures=path)
+
+
+def test_written_candidates_are_read_back(tmp_path, make_robots, assert_same, group):
+    graph = make_robots(group, ("ann", "bob, the second", "c"))
+    write_g2o(tmp_path / "maps.g2o", MultiRobotGraph(graph.maps))
+    write_candidates(tmp_path / "candidates.csv", graph)
+    again = read_graph(tmp_path / "maps.g2o", closures=tmp_path / "candidates.csv")
+    assert len(graph.closures) > 0
+    assert_same(graph, again)
