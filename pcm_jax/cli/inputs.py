@@ -34,28 +34,28 @@ def graph_to_merge(options: Any) -> MultiRobotGraph:
 
 
 def _cut(graph: MultiRobotGraph, at: list[int], files: list[Path]) -> MultiRobotGraph:
-    if len(graph.maps) > 1:
+    trajectory, *others = graph.maps
+    if others:
         raise InputError(
-            f"--split: {_names(files)} hold {len(graph.maps)} robots, expected one to cut"
+            f"--split: {_names(files)} hold {1 + len(others)} robots, expected one to cut"
         )
     try:
-        return split(graph.maps[0], at)
+        return split(trajectory, at)
     except InputError as error:
         raise InputError(f"--split: {str(error).removeprefix('at: ')}") from None
 
 
 def _check_mergeable(graph: MultiRobotGraph, files: list[Path]) -> None:
-    if len(graph.maps) < 2:
-        middle = max(1, graph.maps[0].num_poses // 2)
+    first, *others = graph.maps
+    if not others:
         raise InputError(
-            f"{_names(files)}: one robot, expected at least two; give each robot's file, or cut"
-            f" this trajectory into two robots, for example with --split {middle}"
+            f"{_names(files)}: one robot, expected at least two; give each robot's file, or cut this"
+            f" trajectory into two robots, for example with --split {max(1, first.num_poses // 2)}"
         )
     if not len(graph.closures):
         raise InputError(
-            f"{_names(files)}: {len(graph.maps)} robots ({', '.join(graph.names)}) and no loop"
-            " closure between them, expected at least one; candidates can come from a CSV file:"
-            " --closures"
+            f"{_names(files)}: robots {', '.join(graph.names)} and no loop closure between them,"
+            " expected at least one; candidates can come from a CSV file: --closures"
         )
 
 

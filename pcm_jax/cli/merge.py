@@ -9,6 +9,8 @@ from pcm_jax.cli import outputs
 from pcm_jax.cli.progress import Progress
 from pcm_jax.cli.table import table
 
+TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
+
 
 def run(options: Any) -> None:
     """Reads, merges, writes what was asked for and prints a summary."""
@@ -95,11 +97,14 @@ def _pairs(pairs: list[dict[str, Any]]) -> str:
 def _optimal(pair: dict[str, Any]) -> str:
     if pair["optimal"] is None:
         return "not looked for"
-    return "yes" if pair["optimal"] else f"not proven, at most {pair['upper_bound']}"
+    return "proven" if pair["optimal"] else f"not proven, at most {pair['upper_bound']}"
 
 
 def _fit(solution: dict[str, Any]) -> str:
     chi2 = solution["normalized_chi2"]
     normalized = "no degree of freedom left" if chi2 is None else f"normalised chi2 {chi2:.4g}"
     end = "converged" if solution["converged"] else "NOT CONVERGED"
-    return f"cost {solution['cost']:.6g} ({normalized}), {end} after {solution['iterations']} steps"
+    fit = f"cost {solution['cost']:.6g} ({normalized}), {end} after {solution['iterations']} steps"
+    if chi2 is not None and chi2 < TOO_GOOD:
+        fit += "\nnoise as stated gives 1: is the information its square root (--information sqrt)?"
+    return fit

@@ -1,0 +1,163 @@
+"""`pcm-jax inspect`: what pose-graph files hold, and what is odd about them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pcm_jax import lie
+from pcm_jax.cli.merge import TOO_GOOD
+from pcm_jax.cli.progress import Progress
+from pcm_jax.cli.table import table
+from pcm_jax.files import read_graph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
+from pcm_jax.merging.groups import robot_groups
+
+SINGULAR = 1e8  # ratio of an information matrix's eigenvalues, its units balanced
+HEAD = ("robot", "poses", "ids", "edges", "odometry", "loops", "length (m)", "extent (m)")
+
+
+def run(options: Any) -> None:
+    """Prints robots, closures, connectivity, and the odd things found."""
+    with Progress() as progress, warnings.catch_warnings(record=True) as corrections:
+        progress("reading")
+        graph = read_graph(
+            *options.files,
+            closures=options.closures,
+            information=options.information,
+            repair="clip",  # so that it can be said how many need it
+        )
+        progress("looking for what is odd")
+        odd = [str(correction.message) for correction in corrections] + list(oddities(graph))
+    parts = [f"{graph.group.__name__} poses", robots(graph), closures(graph)]
+    parts.append("odd:" if odd else "nothing odd found")
+    print("\n\n".join(parts))
+    for finding in odd:
+        print(f"- {finding}")
+
+
+def robots(graph: MultiRobotGraph) -> str:
+    """A row for each robot."""
+    return table(HEAD, [_robot(one) for one in graph.maps])
+
+
+def _robot(one: PoseGraph) -> list[object]:
+    odometry = int(_is_odometry(one).sum())
+    places = np.asarray(lie.as_matrix(lie.as_numpy(one.poses)))[:, :-1, -1]
+    length = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+    extent = " x ".join(f"{side:.4g}" for side in np.ptp(places, axis=0))
+    ids = symbols.indices_of(one.ids)
+    return [
+        one.name,
+        one.num_poses,
+        f"{ids.min()} to {ids.max()}",
+        one.num_edges,
+        odometry,
+        one.num_edges - odometry,
+        f"{length:.4g}",
+        extent,
+    ]
+
+
+def closures(graph: MultiRobotGraph) -> str:
+    """How many closures join which robots, and whether they join all of them."""
+    if len(graph.maps) < 2:
+        return "no closures: there is one robot"
+    between = graph.closures
+    if not len(between):
+        return "no closures between the robots"
+    rows = [
+        [f"{graph.names[a]} - {graph.names[b]}", len(between.between(a, b)[1])]
+        for a, b in between.pairs()
+    ]
+    groups = robot_groups(len(graph.maps), between, np.ones(len(between), bool))
+    joined = " | ".join(" ".join(graph.names[robot] for robot in group) for group in groups)
+    return f"{table(['robots', 'closures'], rows)}\nconnected by closures: {joined}"
+
+
+def oddities(graph: MultiRobotGraph) -> Iterator[str]:
+    """What a user should know before merging, one line each."""
+    for one in graph.maps:
+        for odd in (*_odd_ids(one), *_odd_edges(one), *_odd_scale(one)):
+            yield f"robot {one.name}: {odd}"
+    yield from (f"between robots: {odd}" for odd in _odd_closures(graph.closures))
+
+
+def _odd_ids(one: PoseGraph) -> Iterator[str]:
+    gaps = int((np.diff(np.sort(one.ids)) > 1).sum())
+    if gaps:
+        yield f"gaps in the poses' ids: {gaps}"
+
+
+def _odd_edges(one: PoseGraph) -> Iterator[str]:
+    ends = np.sort(np.stack([np.asarray(one.tail), np.asarray(one.head)], axis=1), axis=1)
+    first = ends[_is_odometry(one), 0]
+    missing = one.num_poses - 1 - len(np.unique(first))
+    if missing:
+        yield f"consecutive poses without an edge between them: {missing}"
+    repeated = len(ends) - len(np.unique(ends, axis=0))
+    if repeated:
+        yield f"edges between poses that another edge joins already: {repeated}"
+    identity = _is_identity(one.measurement) & ~_is_odometry(one)
+    if identity.any():
+        yield f"loop closures that measure exactly the identity: {identity.sum()}"
+    yield from _odd_information(one.information)
+
+
+def _odd_information(information: Any) -> Iterator[str]:
+    """Matrices that all but lack an inverse, after scaling to a diagonal of ones."""
+    matrices = np.asarray(information)
+    if not len(matrices):
+        return
+    scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))
+    values = np.linalg.eigvalsh(scale[:, :, None] * matrices * scale[:, None, :])
+    singular = int((values[:, -1] > SINGULAR * values[:, 0]).sum())
+    if singular:
+        yield f"information matrices that are nearly singular: {singular}"
+
+
+def _odd_scale(one: PoseGraph) -> Iterator[str]:
+    """Edges that fit far better than their information says they should.
+
+    The file's own poses cost at least as much as the best ones, so no optimisation is needed.
+    """
+    freedom = (one.num_edges - one.num_poses + 1) * one.tangent_dim
+    tail, head = np.asarray(one.tail), np.asarray(one.head)
+    poses = lie.as_numpy(one.poses)
+    predicted = lie.between(lie.take(poses, tail), lie.take(poses, head))
+    residual = np.asarray(lie.log(lie.between(lie.as_numpy(one.measurement), predicted)))
+    squared = float(np.einsum("ei,eij,ej->", residual, np.asarray(one.information), residual))
+    if freedom > 0 and 0.0 < squared < TOO_GOOD * freedom:
+        yield (
+            f"normalised chi2 is at most {squared / freedom:.2g}, where noise as stated gives 1;"
+            " is the information its square root (--information sqrt)?"
+        )
+
+
+def _odd_closures(between: LoopClosures) -> Iterator[str]:
+    if not len(between):
+        return
+    identity = int(_is_identity(between.measurement).sum())
+    if identity:
+        yield f"closures that measure exactly the identity: {identity}"
+    ends = [
+        np.asarray(getattr(between, f"{what}_{end}")) for end in "ab" for what in ("robot", "pose")
+    ]
+    repeated = len(between) - len(np.unique(np.stack(ends, axis=1), axis=0))
+    if repeated:
+        yield f"closures between poses that another one joins already: {repeated}"
+    yield from _odd_information(between.information)
+
+
+def _is_odometry(one: PoseGraph) -> np.ndarray:
+    """Which edges `[e]` are between consecutive poses."""
+    return np.abs(np.asarray(one.tail) - np.asarray(one.head)) == 1
+
+
+def _is_identity(measurement: Any) -> np.ndarray:
+    """Which transforms `[e]` are the identity, to the last bit."""
+    matrices = np.asarray(lie.as_matrix(lie.as_numpy(measurement)))
+    return (matrices == np.eye(matrices.shape[-1])).all(axis=(1, 2))
