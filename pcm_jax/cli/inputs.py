@@ -49,8 +49,8 @@ def _check_mergeable(graph: MultiRobotGraph, files: list[Path]) -> None:
     first, *others = graph.maps
     if not others:
         raise InputError(
-            f"{_names(files)}: one robot, expected at least two; give each robot's file, or cut this"
-            f" trajectory into two robots, for example with --split {max(1, first.num_poses // 2)}"
+            f"{_names(files)}: one robot, expected at least two; give each robot's file, or cut"
+            f" this trajectory, in its middle for example: --split {max(1, first.num_poses // 2)}"
         )
     if not len(graph.closures):
         raise InputError(
