@@ -16,9 +16,9 @@ The largest set of closures that all agree, step iii, is the largest clique of t
 `squared_mahalanobis_of` does step 2 for any residual of two measurements.
 """
 
+from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
-from pcm_jax.consistency.loop_error import loop_error, squared_mahalanobis_of
 from pcm_jax.consistency.mahalanobis import squared_mahalanobis
 from pcm_jax.consistency.problem import ConsistencyProblem, consistency_problem
 

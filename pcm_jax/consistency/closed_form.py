@@ -19,6 +19,8 @@ inverted but M, so closures that share a pose (G = 0) are no special case.
 
 from __future__ import annotations
 
+import functools
+from types import ModuleType
 from typing import Any
 
 import jax
@@ -74,14 +76,62 @@ def _tile(problem: ConsistencyProblem, placed: Any, noise: Any, u: Any, v: Any) 
     t_u = tuple(component[u][:, None] for component in placed)
     t_v = tuple(component[v][None, :] for component in placed)
     both = unrolled.unpack([entry[u][:, None] + entry[v][None, :] for entry in noise])
-    error = module.log(module.compose(t_v, module.inverse(t_u)))
-    shared = unrolled.add(relative_a, both)
+    error = _error(module, t_u, t_v)
+    shared = unrolled.pack(unrolled.add(relative_a, both))
+    packed_b = unrolled.pack(relative_b)
+    return tuple(_weighted_square(module, t, error, shared, packed_b) for t in (t_v, t_u))
 
-    def squared(t: Any) -> Any:
-        total = unrolled.add(shared, module.adjoint_sandwich(t, relative_b))
-        return unrolled.inverse_quadratic_form(total, error)
 
-    return squared(t_v), squared(t_u)
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _error(module: ModuleType, t_u: Any, t_v: Any) -> Any:
+    """The vector r = Log(T_v T_u⁻¹)."""
+    return module.log(module.compose(t_v, module.inverse(t_u)))
+
+
+@_error.defjvp
+def _error_jvp(module: ModuleType, primals: Any, velocities: Any) -> tuple[Any, Any]:
+    """With T → exp(τ) T, dr = Jl(r)⁻¹ (τ_v − Ad(T_v T_u⁻¹) τ_u)."""
+    t_u, t_v = primals
+    tau_u, tau_v = map(module.left_tangent, primals, velocities)
+    between = module.compose(t_v, module.inverse(t_u))
+    error = module.log(between)
+    carried = unrolled.apply(module.adjoint(between), tau_u)
+    left_inverse = module.right_jacobian_inverse(tuple(-x for x in error))  # Jl(r) = Jr(−r)
+    moved = tuple(v - u for u, v in zip(carried, tau_v, strict=True))
+    return error, unrolled.apply(left_inverse, moved)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _weighted_square(module: ModuleType, t: Any, error: Any, shared: Any, other: Any) -> Any:
+    """The number rᵀ M⁻¹ r with M = shared + Ad(T) other Ad(T)ᵀ, both packed."""
+    return unrolled.inverse_quadratic_form(_total(module, t, shared, other), error)
+
+
+@_weighted_square.defjvp
+def _weighted_square_jvp(module: ModuleType, primals: Any, velocities: Any) -> tuple[Any, Any]:
+    """d(rᵀ M⁻¹ r) = 2 wᵀ dr − wᵀ dM w with w = M⁻¹ r, and d Ad(T) = [τ, Ad(T) ·].
+
+    By hand, because the factorisation's own derivative takes a minute to compile.
+    """
+    (t, error, shared, other), (velocity, error_dot, shared_dot, other_dot) = primals, velocities
+    w = unrolled.solve_symmetric(_total(module, t, shared, other), error)
+    adjoint = module.adjoint(t)
+    w_other = unrolled.apply(unrolled.transpose(adjoint), w)
+    carried = unrolled.apply(adjoint, unrolled.apply(unrolled.unpack(other), w_other))
+    turned = module.bracket(module.left_tangent(t, velocity), carried)
+    by_covariance = _form(shared_dot, w) + _form(other_dot, w_other)
+    slope = 2.0 * (unrolled.dot(w, error_dot) - unrolled.dot(w, turned)) - by_covariance
+    return _weighted_square(module, t, error, shared, other), slope
+
+
+def _total(module: ModuleType, t: Any, shared: Any, other: Any) -> unrolled.Matrix:
+    carried = module.adjoint_sandwich(t, unrolled.unpack(other))
+    return unrolled.add(unrolled.unpack(shared), carried)
+
+
+def _form(packed: Any, vector: Any) -> Any:
+    """The number vᵀ S v."""
+    return unrolled.dot(vector, unrolled.apply(unrolled.unpack(packed), vector))
 
 
 def _gather(packed: Any, rows: Any, u: Any, v: Any) -> unrolled.Matrix:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from pcm_jax import lie
 from pcm_jax.consistency.closed_form import closed_form_kernel
-from pcm_jax.consistency.loop_error import jacfwd_kernel
+from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.errors import InputError
 from pcm_jax.precision import device_array

@@ -50,6 +50,16 @@ def adjoint_sandwich(_: Element, symmetric: Any) -> Any:
     return symmetric
 
 
+def left_tangent(_: Element, velocity: Element) -> Tangent:
+    """The velocity itself."""
+    return velocity
+
+
+def bracket(_a: Tangent, _b: Tangent) -> Tangent:
+    """Zero: the group is commutative."""
+    return (0.0,)
+
+
 def right_jacobian(_: Tangent) -> tuple[tuple[Any, ...], ...]:
     """One."""
     return ((1.0,),)

@@ -83,6 +83,21 @@ def adjoint_sandwich(a: Element, symmetric: Entries) -> Entries:
     return unrolled.sandwich(adjoint(a), symmetric)
 
 
+def left_tangent(a: Element, velocity: Element) -> Tangent:
+    """τ with exp(s τ) a = a + s `velocity` to first order in s.
+
+    Takes a derivative of the parameters to one of the group. What leads off the group
+    (along cos, sin) is dropped.
+    """
+    omega = a[0] * velocity[1] - a[1] * velocity[0]
+    return (velocity[2] + omega * a[3], velocity[3] - omega * a[2], omega)
+
+
+def bracket(a: Tangent, b: Tangent) -> Tangent:
+    """[a, b]: the derivative of Ad(exp(s a)) b at s = 0."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], 0.0)
+
+
 def right_jacobian(tangent: Tangent) -> Entries:
     """Jr with exp(τ + δ) = exp(τ) exp(Jr δ) to first order (Solà et al. 2018, eq. 163)."""
     v_x, v_y, omega = tangent

@@ -47,20 +47,22 @@ def _rotate(q: Sequence[Any], v: Sequence[Any]) -> tuple[Any, Any, Any]:
     )
 
 
-def compose(a: Element, b: Element) -> Element:
-    """The product a b."""
+def _multiply_quaternions(a: Sequence[Any], b: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
     aw, ax, ay, az = a[:4]
     bw, bx, by, bz = b[:4]
-    moved = _rotate(a, b[4:])
     return (
         aw * bw - ax * bx - ay * by - az * bz,
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,
         aw * bz + ax * by - ay * bx + az * bw,
-        moved[0] + a[4],
-        moved[1] + a[5],
-        moved[2] + a[6],
     )
+
+
+def compose(a: Element, b: Element) -> Element:
+    """The product a b."""
+    moved = _rotate(a, b[4:])
+    shifted = (moved[0] + a[4], moved[1] + a[5], moved[2] + a[6])
+    return (*_multiply_quaternions(a, b), *shifted)
 
 
 def inverse(a: Element) -> Element:
@@ -137,6 +139,24 @@ def adjoint_sandwich(a: Element, symmetric: Entries) -> Entries:
     turn = unrolled.block([[rotation, zero], [zero, rotation]])
     lever = unrolled.block([[one, unrolled.skew(a[4:])], [zero, one]])
     return unrolled.sandwich(lever, unrolled.sandwich(turn, symmetric))
+
+
+def left_tangent(a: Element, velocity: Element) -> Tangent:
+    """τ with exp(s τ) a = a + s `velocity` to first order in s.
+
+    Takes a derivative of the parameters to one of the group. What leads off the group
+    (along the quaternion) is dropped.
+    """
+    rate = _multiply_quaternions(velocity, (a[0], -a[1], -a[2], -a[3]))
+    omega = tuple(2.0 * r for r in rate[1:])
+    lever = cross(omega, a[4:])
+    return (*(velocity[4 + i] - lever[i] for i in range(3)), *omega)  # type: ignore[return-value]
+
+
+def bracket(a: Tangent, b: Tangent) -> Tangent:
+    """[a, b]: the derivative of Ad(exp(s a)) b at s = 0."""
+    by_turn, by_shift = cross(a[3:], b[:3]), cross(a[:3], b[3:])
+    return (*(by_turn[i] + by_shift[i] for i in range(3)), *cross(a[3:], b[3:]))  # type: ignore[return-value]
 
 
 def _dual(diagonal: Entries, corner: Entries) -> Entries:

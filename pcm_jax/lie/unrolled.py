@@ -125,10 +125,9 @@ def cholesky(symmetric: Matrix) -> Matrix:
     for j in range(size):
         pivot = symmetric[j][j] - dot(lower[j][:j], lower[j][:j])
         lower[j][j] = xp.sqrt(pivot)
-        inverse = 1.0 / lower[j][j]
         for i in range(j + 1, size):
             entry = total(symmetric[i][j], product(-1.0, dot(lower[i][:j], lower[j][:j])))
-            lower[i][j] = product(entry, inverse)
+            lower[i][j] = 0.0 if _is_number(entry, 0.0) else entry / lower[j][j]
     return tuple(tuple(row) for row in lower)
 
 
@@ -136,30 +135,48 @@ def solve_lower(lower: Matrix, vector: Vector) -> Vector:
     """L⁻¹ v by forward substitution."""
     solution: list[Any] = []
     for i, row in enumerate(lower):
-        known = product(-1.0, dot(row[:i], solution))
-        solution.append(total(vector[i], known) / row[i])
+        entry = total(vector[i], product(-1.0, dot(row[:i], solution)))
+        solution.append(0.0 if _is_number(entry, 0.0) else entry / row[i])
     return tuple(solution)
 
 
 def inverse_quadratic_form(symmetric: Matrix, vector: Vector) -> Any:
     """vᵀ S⁻¹ v for a positive definite S, by S = L D Lᵀ (no square roots)."""
+    lower, pivots = _ldl(symmetric)
+    reduced = solve_unit_lower(lower, vector)
+    return dot(reduced, [product(x, pivot) for x, pivot in zip(reduced, pivots, strict=True)])
+
+
+def solve_symmetric(symmetric: Matrix, vector: Vector) -> Vector:
+    """S⁻¹ v for a positive definite S."""
+    lower = cholesky(symmetric)
+    reduced = solve_lower(lower, vector)
+    upper = tuple(row[::-1] for row in transpose(lower)[::-1])
+    return solve_lower(upper, reduced[::-1])[::-1]
+
+
+def _ldl(symmetric: Matrix) -> tuple[Matrix, Vector]:
+    """S = L D Lᵀ: L of unit diagonal, and the reciprocals of D."""
     size = len(symmetric)
-    factor: list[list[Any]] = [[] for _ in range(size)]  # rows of L, below the unit diagonal
-    scaled: list[list[Any]] = [[] for _ in range(size)]  # rows of L D
-    reduced: list[Any] = []  # L⁻¹ v
-    result = 0.0
+    lower = [list(row) for row in identity(size)]
     reciprocals: list[Any] = []
     for i in range(size):
+        scaled: list[Any] = []  # row i of L D
         for j in range(i):
-            entry = total(symmetric[i][j], product(-1.0, dot(factor[j], scaled[i])))
-            scaled[i].append(entry)
-            factor[i].append(product(entry, reciprocals[j]))
-            # The lists grow while row i is built: dot() above sees exactly the first j columns.
-        pivot = total(symmetric[i][i], product(-1.0, dot(factor[i], scaled[i])))
+            known = product(-1.0, dot(lower[j][:j], scaled))
+            scaled.append(total(symmetric[i][j], known))
+            lower[i][j] = product(scaled[j], reciprocals[j])
+        pivot = total(symmetric[i][i], product(-1.0, dot(lower[i][:i], scaled)))
         reciprocals.append(1.0 / pivot)
-        reduced.append(total(vector[i], product(-1.0, dot(factor[i], reduced))))
-        result = result + reduced[i] * reduced[i] * reciprocals[i]
-    return result
+    return tuple(map(tuple, lower)), reciprocals
+
+
+def solve_unit_lower(lower: Matrix, vector: Vector) -> Vector:
+    """L⁻¹ v for an L of unit diagonal, by forward substitution."""
+    solution: list[Any] = []
+    for i, row in enumerate(lower):
+        solution.append(total(vector[i], product(-1.0, dot(row[:i], solution))))
+    return tuple(solution)
 
 
 def packed_indices(size: int) -> list[tuple[int, int]]:

@@ -86,12 +86,15 @@ def _retract(tree: Any, delta: Float[Array, " n"]) -> Any:
 
 
 def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Float[Array, "m m"]:
-    """`pair(u, v)` for all indices below `count`, by vmap, a few rows at a time; diagonal zero."""
-    indices = jnp.arange(count)
-    row = jax.vmap(pair, in_axes=(None, 0))
-    rows_at_once = max(1, PAIRS_AT_ONCE // max(count, 1))
-    values = jax.lax.map(lambda u: row(u, indices), indices, batch_size=rows_at_once)
-    return jnp.where(jnp.eye(count, dtype=bool), 0.0, values)
+    """`pair(u, v)` for all indices below `count`, vmapped, a batch at a time; diagonal zero."""
+    pairs = count * count
+    batches = max(1, -(-pairs // PAIRS_AT_ONCE))
+    # Pairs past the end repeat the last one, and are cut below: one shape to compile.
+    pair_index = jnp.minimum(jnp.arange(batches * -(-pairs // batches)), pairs - 1)
+    batch = jax.vmap(lambda index: pair(index // count, index % count))
+    values = jax.lax.map(batch, pair_index.reshape(batches, -1))
+    squared = values.reshape(-1)[:pairs].reshape(count, count)
+    return jnp.where(jnp.eye(count, dtype=bool), 0.0, squared)
 
 
 def jacfwd_kernel(problem: ConsistencyProblem) -> Float[Array, "m m"]:
