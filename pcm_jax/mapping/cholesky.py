@@ -23,8 +23,8 @@ from pcm_jax.mapping.assembly import CholeskyPlan, FrontGroup
 
 LARGE_PIVOTS = 96
 """Scalars: fronts with more pivots are factorised one by one with LAPACK's triangular routines."""
-LARGE_FRONT = 768
-"""Scalars: fronts of this size gain from a second thread."""
+LARGE_FRONT = 2048
+"""Scalars: fronts of this size gain from BLAS threads even where other work holds some cores."""
 
 Triangles = Float[np.ndarray, "b p p"]
 
@@ -110,6 +110,8 @@ def factorize(plan: CholeskyPlan, blocks: Float[np.ndarray, "k d d"]) -> Cholesk
     Raises:
         NotPositiveDefiniteError: `H` is not positive definite, or not finite.
     """
+    if not np.isfinite(blocks).all():
+        raise NotPositiveDefiniteError("the matrix is not finite")
     d = plan.block_dim
     pool = np.empty((plan.chunks, d))
     pool[:d] = np.eye(d)

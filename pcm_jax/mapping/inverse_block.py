@@ -21,8 +21,8 @@ from jaxtyping import Float, Int
 from pcm_jax.mapping.cholesky import CholeskyFactor, blas_threads, limited_to
 from pcm_jax.mapping.symbolic import FrontTree
 
-LARGE_COLUMNS = 192
-"""Columns (scalars) from which a second thread helps."""
+LARGE_COLUMNS = 1536
+"""Columns (scalars) from which BLAS threads gain even where other work holds some cores."""
 
 
 class _Passed(NamedTuple):

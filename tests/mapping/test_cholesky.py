@@ -1,0 +1,162 @@
+"""The block Cholesky factorisation against dense linear algebra, on patterns of every kind."""
+
+import numpy as np
+import pytest
+
+from pcm_jax.mapping.assembly import plan_for
+from pcm_jax.mapping.cholesky import NotPositiveDefiniteError, blas_threads, factorize, limited_to
+from pcm_jax.mapping.inverse_block import inverse_block
+from pcm_jax.mapping.symbolic import front_tree
+
+RNG = np.random.default_rng(3)
+
+
+def random_pairs(size: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    pairs = RNG.integers(0, size, (count, 2))
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    return pairs[:, 0], pairs[:, 1]
+
+
+def chain(size: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.arange(size - 1), np.arange(1, size)
+
+
+def grid(side: int) -> tuple[np.ndarray, np.ndarray]:
+    index = np.arange(side * side).reshape(side, side)
+    tail = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
+    return tail, np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
+
+
+def star(size: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros(size - 1, int), np.arange(1, size)
+
+
+PATTERNS = {
+    "one pose": (1, (np.empty(0, int), np.empty(0, int))),
+    "no pair": (5, (np.empty(0, int), np.empty(0, int))),
+    "chain": (200, chain(200)),
+    "star": (60, star(60)),
+    "grid": (400, grid(20)),
+    "complete": (40, tuple(np.triu_indices(40, 1))),
+    "sparse random": (150, random_pairs(150, 200)),
+    "dense random": (80, random_pairs(80, 1200)),
+    "two parts": (61, (np.r_[chain(30)[0], 30 + chain(31)[0]], np.r_[chain(30)[1], 30 + chain(31)[1]])),
+}
+
+
+@pytest.fixture(params=PATTERNS)
+def pattern(request: pytest.FixtureRequest) -> tuple[int, np.ndarray, np.ndarray]:
+    size, (tail, head) = PATTERNS[request.param]  # type: ignore[misc]
+    return size, tail, head
+
+
+def random_system(size: int, tail: np.ndarray, head: np.ndarray, d: int):
+    """A plan, blocks of a positive definite H in its order, and H dense in the poses' order."""
+    plan = plan_for(size, tail, head, d)
+    blocks = RNG.normal(size=(len(plan.block_row), d, d))
+    blocks[:size] = 0.0
+    dense = np.zeros((size, d, size, d))
+    pose = np.argsort(plan.position)
+    for block, row, column in zip(blocks, pose[plan.block_row], pose[plan.block_column], strict=True):
+        dense[row, :, column] += block
+        dense[column, :, row] += block.T
+    weight = np.abs(dense).sum(axis=(2, 3)) + 1.0
+    blocks[plan.position] = weight[:, :, None] * np.eye(d)
+    for pose_index in range(size):
+        dense[pose_index, :, pose_index] = np.diag(weight[pose_index])
+    return plan, blocks, dense.reshape(size * d, size * d)
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+def test_solve_inverts_the_matrix(pattern, d):
+    size, tail, head = pattern
+    plan, blocks, dense = random_system(size, tail, head, d)
+    right = RNG.normal(size=(size * d, 3))
+    factor = factorize(plan, blocks)
+    np.testing.assert_allclose(dense @ factor.solve(right), right, atol=1e-10)
+    np.testing.assert_allclose(dense @ factor.solve(right[:, 0]), right[:, 0], atol=1e-10)
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+def test_inverse_block_is_that_of_the_dense_inverse(pattern, d):
+    size, tail, head = pattern
+    plan, blocks, dense = random_system(size, tail, head, d)
+    wanted = RNG.permutation(size)[: max(1, size // 3)]
+    rows = (wanted[:, None] * d + np.arange(d)).ravel()
+    expected = np.linalg.inv(dense)[np.ix_(rows, rows)]
+    found = inverse_block(factorize(plan, blocks), wanted)
+    np.testing.assert_allclose(found, expected, atol=1e-13)
+    np.testing.assert_array_equal(found, found.T)
+
+
+def test_a_long_chain_is_solved():
+    size, d = 3000, 3
+    plan = plan_for(size, *chain(size), d)
+    blocks = np.zeros((len(plan.block_row), d, d))
+    blocks[:size], blocks[size:] = 2.5 * np.eye(d), -np.eye(d)
+    right = RNG.normal(size=(size, d))
+    x = factorize(plan, blocks).solve(right.ravel()).reshape(size, d)
+    product = 2.5 * x
+    product[1:] -= x[:-1]
+    product[:-1] -= x[1:]
+    np.testing.assert_allclose(product, right, atol=1e-12)
+
+
+def test_large_fronts_take_the_same_path_as_small_ones(monkeypatch):
+    plan, blocks, dense = random_system(60, *random_pairs(60, 700), 6)
+    right = RNG.normal(size=360)
+    monkeypatch.setattr("pcm_jax.mapping.cholesky.LARGE_PIVOTS", 0)
+    np.testing.assert_allclose(dense @ factorize(plan, blocks).solve(right), right, atol=1e-10)
+
+
+def test_an_indefinite_matrix_is_reported():
+    plan, blocks, _ = random_system(50, *chain(50), 3)
+    blocks[7] *= -1.0
+    with pytest.raises(NotPositiveDefiniteError):
+        factorize(plan, blocks)
+
+
+def test_a_matrix_that_is_not_finite_is_reported():
+    plan, blocks, _ = random_system(50, *chain(50), 3)
+    blocks[7] = np.nan
+    with pytest.raises(NotPositiveDefiniteError):
+        factorize(plan, blocks)
+
+
+def test_the_tree_eliminates_every_pose_once_and_children_first(pattern):
+    size, tail, head = pattern
+    tree = front_tree(size, tail, head)
+    np.testing.assert_array_equal(np.sort(tree.position), np.arange(size))
+    assert tree.pivots.sum() == size
+    inner = tree.parent >= 0
+    assert (tree.parent[inner] > np.flatnonzero(inner)).all()
+    for front in range(len(tree.first)):
+        rest = tree.rest[tree.rest_start[front] : tree.rest_start[front + 1]]
+        assert (np.diff(rest) > 0).all()
+        assert (rest >= tree.first[front] + tree.pivots[front]).all()
+
+
+def test_a_long_ring_has_a_low_tree():
+    """Minimum degree halves a ring again and again: the fill of the M-matrix must not underflow."""
+    size = 20000
+    tree = front_tree(size, np.arange(size), (np.arange(size) + 1) % size)
+    assert tree.height.max() < 60
+    assert tree.rests.max() <= 4
+    assert (tree.parent < 0).sum() == 1
+
+
+def test_plans_are_found_by_content():
+    tail, head = random_pairs(40, 60)
+    plan = plan_for(40, tail, head, 3)
+    assert plan_for(40, tail.copy(), head.astype(np.int32), 3) is plan
+    assert plan_for(40, tail, head, 6) is not plan
+    assert plan_for(41, tail, head, 3) is not plan
+
+
+def test_the_users_number_of_threads_is_left_alone():
+    before = blas_threads()
+    with limited_to(2):
+        plan, blocks, _ = random_system(50, *chain(50), 3)
+        factorize(plan, blocks).solve(np.zeros(150))
+        assert blas_threads() == 2
+    assert blas_threads() == before
