@@ -108,7 +108,10 @@ def _merge(commands: Any) -> None:
         help="two robots that accept fewer closures accept none (default: %(default)s)",
     )
     merge.add_argument(
-        "--time-limit", type=float, metavar="S", help="seconds for each robot pair's clique search"
+        "--time-limit",
+        type=_seconds,
+        metavar="S",
+        help="seconds for each robot pair's clique search",
     )
     _reading(merge)
     for name, what in (
@@ -150,6 +153,13 @@ def _simulate(commands: Any) -> None:
             command.add_argument(
                 option, type=kind, metavar=metavar, help=meaning, default=argparse.SUPPRESS
             )
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not seconds > 0.0:
+        raise argparse.ArgumentTypeError(f"{text} given, expected seconds above 0")
+    return seconds
 
 
 def _files(command: argparse.ArgumentParser) -> None:

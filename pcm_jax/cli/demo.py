@@ -38,8 +38,7 @@ def run(options: Any) -> None:
     """Prints the table and saves the picture in the current folder."""
     check_target(DEMO_PICTURE)
     outputs.check_picture(DEMO_PICTURE)
-    with Progress() as progress:
-        progress("simulating")
+    with Progress("simulating") as progress:
         world = simulate_city(seed=options.seed)
         outcomes = merged_both_ways(world, progress)
         progress("drawing")

@@ -49,16 +49,22 @@ def _failed(problem: str) -> int:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Within, an `InputWarning` is one line on standard error; others are left as they are."""
+    """An `InputWarning` within becomes one line on standard error, after all went well.
+
+    Bad input thus leaves the one line that says what is wrong. Other warnings are left as they are.
+    """
+    lines: list[str] = []
     with warnings.catch_warnings():
         warnings.simplefilter("always", InputWarning)
         show = warnings.showwarning
 
-        def show_line(message: Any, category: Any, *place: Any, **options: Any) -> None:
+        def keep(message: Any, category: Any, *place: Any, **options: Any) -> None:
             if issubclass(category, InputWarning):
-                print(f"warning: {message}", file=sys.stderr)
+                lines.append(f"warning: {message}")
             else:
                 show(message, category, *place, **options)
 
-        warnings.showwarning = show_line
+        warnings.showwarning = keep
         yield
+    for line in lines:
+        print(line, file=sys.stderr)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +13,17 @@ from pcm_jax.graph import MultiRobotGraph, split
 def graph_to_merge(options: Any) -> MultiRobotGraph:
     """Reads and cuts, and checks that there is something to merge.
 
-    What was corrected in the files is warned of when all is well: bad input gets one line.
-
     Raises:
         InputError: for bad files, and for too few robots or no closures between them.
     """
-    with warnings.catch_warnings(record=True) as corrections:
-        graph = read_graph(
-            *options.files,
-            closures=options.closures,
-            information=options.information,
-            repair=options.repair,
-        )
-        graph = _cut(graph, options.split, options.files) if options.split else graph
-        _check_mergeable(graph, options.files)
-    for correction in corrections:
-        warnings.warn(correction.message, stacklevel=2)
+    graph = read_graph(
+        *options.files,
+        closures=options.closures,
+        information=options.information,
+        repair=options.repair,
+    )
+    graph = _cut(graph, options.split, options.files) if options.split else graph
+    _check_mergeable(graph, options.files)
     return graph
 
 

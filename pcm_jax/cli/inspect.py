@@ -22,8 +22,7 @@ HEAD = ("robot", "poses", "ids", "edges", "odometry", "loops", "length (m)", "ex
 
 def run(options: Any) -> None:
     """Prints robots, closures, connectivity, and the odd things found."""
-    with Progress() as progress, warnings.catch_warnings(record=True) as corrections:
-        progress("reading")
+    with Progress("reading") as progress, warnings.catch_warnings(record=True) as corrections:
         graph = read_graph(
             *options.files,
             closures=options.closures,

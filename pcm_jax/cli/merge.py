@@ -15,8 +15,7 @@ TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be 
 def run(options: Any) -> None:
     """Reads, merges, writes what was asked for and prints a summary."""
     _check_outputs(options)
-    with Progress() as progress:
-        progress("reading")
+    with Progress("reading") as progress:
         result, report = _merged(options, progress)
         progress("writing")
         written = list(_written(options, result, report))

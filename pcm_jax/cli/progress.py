@@ -8,19 +8,21 @@ import time
 from types import TracebackType
 
 PATIENCE = 2.0  # seconds of silence
-TICK = 0.5  # seconds between updates of a terminal's line
+TICK = 0.5  # seconds between looks at the clock
 
 
 class Progress:
     """A scope in which calling the object with a line of text announces the next stage.
 
-    Nothing is shown in the first two seconds. After them a terminal has one line that counts the
-    seconds and vanishes at the end; elsewhere (a log file) every stage gets one line of its own.
+    On a terminal, work of more than two seconds has one line that counts them and vanishes at the
+    end. Elsewhere (a log file) every stage of more than two seconds gets a line of its own; the
+    first one none, so that bad input, which shows there, leaves its one line and no other.
     """
 
-    def __init__(self) -> None:
-        self._start = time.monotonic()
-        self._stage = self._shown = ""
+    def __init__(self, stage: str) -> None:
+        self._start = self._stage_start = time.monotonic()
+        self._stage = self._shown = stage
+        self._terminal = sys.stderr.isatty()
         self._finished = threading.Event()
         self._ticker = threading.Thread(target=self._watch, daemon=True)
 
@@ -30,6 +32,7 @@ class Progress:
 
     def __call__(self, stage: str) -> None:
         """Announces the next stage."""
+        self._stage_start = time.monotonic()
         self._stage = stage
 
     def __exit__(
@@ -40,20 +43,18 @@ class Progress:
     ) -> None:
         self._finished.set()
         self._ticker.join()
-        if self._shown and sys.stderr.isatty():
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        if self._terminal:
+            self._write("")
 
     def _watch(self) -> None:
-        wait = PATIENCE
-        while not self._finished.wait(wait):
-            wait = TICK
-            self._show()
+        while not self._finished.wait(TICK):
+            now, stage = time.monotonic(), self._stage
+            if self._terminal and now - self._start > PATIENCE:
+                self._write(f"{stage} ({now - self._start:.0f} s)")
+            elif not self._terminal and stage != self._shown and now - self._stage_start > PATIENCE:
+                print(f"{stage} ...", file=sys.stderr, flush=True)
+                self._shown = stage
 
-    def _show(self) -> None:
-        stage = self._stage
-        if sys.stderr.isatty():
-            seconds = time.monotonic() - self._start
-            print(f"\r\033[K{stage} ({seconds:.0f} s)", end="", file=sys.stderr, flush=True)
-        elif stage != self._shown:
-            print(f"{stage} ...", file=sys.stderr, flush=True)
-        self._shown = stage
+    def _write(self, line: str) -> None:
+        """Replaces the terminal's line."""
+        print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
