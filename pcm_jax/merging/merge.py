@@ -161,6 +161,8 @@ def _solve(
         rows += joint.num_edges
         columns += joint.num_poses - 1
         merged, first = lie.as_numpy(solution.graph.poses), 0
+        if len(members) == 1:  # at its optimum already, and to stay as it is
+            merged = lie.as_numpy(graph.maps[members[0]].poses)
         for robot in members:
             size = graph.maps[robot].num_poses
             poses[robot] = lie.take(merged, slice(first, first + size))
