@@ -28,6 +28,7 @@ from pcm_jax.precision import device_array, in_float64
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
 
+ROWS_AT_ONCE = 16  # of G, so that what one step needs stays in a cache
 SYMMETRY_TOLERANCE = 1e-6  # of the largest entry
 
 
@@ -177,18 +178,18 @@ def relative_covariance(
     packed = np.zeros((d * (d + 1) // 2, size, size))
     if k == 0:
         return packed
-    adjoint = np.asarray(lie.adjoint(poses))
-
-    def left_multiplied(matrix: np.ndarray) -> np.ndarray:
-        return (adjoint @ matrix.reshape(k, d, k * d)).reshape(k * d, k * d)
-
-    # Ad Σ Adᵀ = Ad (Ad Σ)ᵀ, since Σ is symmetric.
-    left = left_multiplied(left_multiplied(joint).T).reshape(k, d, k, d)
-    for entry, (r, c) in enumerate(unrolled.packed_indices(d)):
-        covariance = left[:, r, :, c]
-        own = np.diagonal(covariance)
-        cross = covariance + covariance.T if r == c else covariance + left[:, c, :, r]
-        packed[entry, :k, :k] = (own[:, None] + own - cross)[np.ix_(order, order)]
+    adjoint = np.asarray(lie.adjoint(lie.take(poses, order)))
+    transposed = adjoint.swapaxes(1, 2)
+    blocks = joint.reshape(k, d, k, d)
+    own = adjoint @ blocks[order, :, order] @ transposed
+    for start in range(0, k, ROWS_AT_ONCE):
+        rows = slice(start, min(start + ROWS_AT_ONCE, k))
+        left = adjoint[rows] @ blocks[order[rows]].reshape(-1, d, k * d)
+        left = left.reshape(-1, k, d)[:, order].swapaxes(0, 1) @ transposed
+        cross = left.reshape(k, -1, d, d)  # [j, i]: Ad_i Σ_ij Ad_jᵀ
+        for entry, (r, c) in enumerate(unrolled.packed_indices(d)):
+            both = (cross[:, :, r, c] + cross[:, :, c, r]).T
+            packed[entry, rows, :k] = own[rows, r, c][:, None] + own[:, r, c] - both
     return packed
 
 
@@ -233,11 +234,12 @@ def _checked_joint(joint: Any, size: int, name: str) -> np.ndarray:
         raise InputError(
             f"{name}: shape {joint.shape}; expected {(size, size)}, a block for each touched pose"
         )
-    if not np.isfinite(joint).all():
-        row, column = np.argwhere(~np.isfinite(joint))[0]
+    finite = np.isfinite(joint)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
         raise InputError(f"{name}[{row}, {column}]: {joint[row, column]}; expected finite numbers")
-    skew = np.abs(joint - joint.T)
-    if skew.size and skew.max() > SYMMETRY_TOLERANCE * np.abs(joint).max():
+    skew = joint - joint.T
+    if skew.max(initial=0.0) > SYMMETRY_TOLERANCE * joint.max(initial=0.0):
         row, column = np.unravel_index(np.argmax(skew), skew.shape)
         raise InputError(
             f"{name}[{row}, {column}]: {joint[row, column]} differs from {joint[column, row]} "
