@@ -1,0 +1,114 @@
+"""The whole way: merges, the sets whose answer is known, the demo, and importing the package."""
+
+from __future__ import annotations
+
+import functools
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+
+from benchmarks import maps
+from benchmarks.harness import ENVIRONMENT, Case, Measured, Metric, Settings
+from benchmarks.measure import seconds_of, timing_of
+from pcm_jax import merge, select
+from pcm_jax.simulation import simulate_city, simulate_sessions
+
+SPOILED = "multirobot_rdm/pairwise_consistency_maximization/spoiled"
+SPOILED_SETS = ("simulation/example_4robots", "simulation_not_in_order/example_2robots")
+CONFIDENCE = 0.99
+IMPORTS = 5
+WORLDS = {"SE2": simulate_city, "SE3": functools.partial(simulate_sessions, poses=1_000)}
+
+
+def spoiled(settings: Settings) -> dict[str, Measured]:
+    """Sets in which each robot pair's largest consistent group is half of its measurements."""
+    exact, pairs = 0, 0
+    for name in SPOILED_SETS:
+        folder = maps.required(f"{SPOILED}/{name}", settings)
+        graph = maps.read_quietly(*sorted(folder.iterdir()))
+        for pair in select(graph, confidence=CONFIDENCE).pairs:
+            pairs += 1
+            exact += 2 * int(pair.accepted.sum()) == len(pair.accepted)
+    note = f"{exact} of {pairs} robot pairs accept exactly half"
+    return {"pairs_half_accepted": Measured(100.0 * exact / pairs, note)}
+
+
+def two_maps(group: str, settings: Settings) -> dict[str, Measured]:
+    """Two maps of 1,000 poses, from raw odometry to one merged map."""
+    world = WORLDS[group]()
+    first = seconds_of(lambda: merge(world.graph))
+    timing = timing_of(lambda: merge(world.graph), settings.patience)
+    accepted = merge(world.graph).inliers
+    true, false = (int((accepted & each).sum()) for each in (world.inliers, ~world.inliers))
+    note = f"{true} of {world.inliers.sum()} true closures and {false} false ones accepted"
+    return {
+        "first": Measured(first, "plans and compilation included"),
+        "again": Measured(timing.median, f"median of {timing.repeats}; {note}"),
+    }
+
+
+def demo(settings: Settings) -> dict[str, Measured]:
+    """`pcm-jax demo`, as in a shell of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = functools.partial(_python, "-m", "pcm_jax", "demo", folder=folder)
+        seconds = seconds_of(run)
+    return {"fresh_process": Measured(seconds, "start of Python and all compilation included")}
+
+
+def imports(settings: Settings) -> dict[str, Measured]:
+    """What importing takes once JAX is there, each time in a fresh process."""
+    package = _median_import("import pcm_jax")
+    names = _median_import("from pcm_jax import merge, read_graph")
+    note = f"median of {IMPORTS} processes"
+    return {
+        "pcm_jax": Measured(package, note),
+        "merge_and_read_graph": Measured(names, "what the two names load when first used"),
+    }
+
+
+def _median_import(code: str) -> float:
+    clock = "from time import perf_counter as now"
+    program = f"import jax; {clock}; start = now(); {code}; print(now() - start)"
+    return statistics.median(float(_python("-c", program)) for _ in range(IMPORTS))
+
+
+def _python(*arguments: str, folder: str | None = None) -> str:
+    """What a fresh Python prints, with the user's own environment, not the benchmarks'."""
+    environment = {key: value for key, value in os.environ.items() if key not in ENVIRONMENT}
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        env=environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return done.stdout
+
+
+CASES = [
+    Case(
+        "end_to_end/spoiled",
+        (Metric("pairs_half_accepted", "%", "higher", figure=100.0, tolerance=0.0, digits=4),),
+        spoiled,
+    ),
+    *(
+        Case(
+            f"end_to_end/merge-{group}",
+            (Metric("first", "s"), Metric("again", "s")),
+            functools.partial(two_maps, group),
+        )
+        for group in WORLDS
+    ),
+    Case("end_to_end/demo", (Metric("fresh_process", "s", figure=40.0),), demo),
+    Case(
+        "end_to_end/import",
+        (
+            Metric("pcm_jax", "s after JAX", figure=0.3, tolerance=None, digits=2),
+            Metric("merge_and_read_graph", "s after JAX", digits=2),
+        ),
+        imports,
+    ),
+]

@@ -1,0 +1,257 @@
+"""Cases and their metrics; each case runs in a process of its own, and is kept once it is done.
+
+A fresh process per case keeps compilations, caches and peak memory apart. What is done is written
+to `cases/` in the output folder, so that a run that was killed goes on where it stopped; results of
+other sources, options or packages than the present ones are measured again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from benchmarks.measure import THREADS, Patience, cores, machine, peak_memory
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+ENVIRONMENT = {
+    # As users have it. The package itself keeps small fronts on one thread; GTSAM has only one.
+    THREADS: str(cores()),
+    "JAX_PLATFORMS": "cpu",
+    "JAX_ENABLE_X64": "true",
+    "JAX_ENABLE_COMPILATION_CACHE": "false",
+}
+"""What every case runs with, unless the caller's environment says otherwise."""
+
+
+class NotMeasuredError(Exception):
+    """A case has nothing to measure on or with: the message says what is missing."""
+
+
+class Settings(NamedTuple):
+    """What the command line says.
+
+    Attributes:
+        quick: fewer repeats, and no case that takes minutes.
+        data: folder of public pose graphs, which may be absent.
+    """
+
+    quick: bool = False
+    data: Path = DATA
+
+    @property
+    def patience(self) -> Patience:
+        """How often to repeat what takes a fraction of a second."""
+        return Patience(3, 0.5) if self.quick else Patience(7, 3.0)
+
+
+class Metric(NamedTuple):
+    """One figure.
+
+    Attributes:
+        name: within its case.
+        unit: "×" for a ratio to a peer, measured in the same run.
+        direction: which way is better; "target": neither.
+        figure: what is to be reached; for "target", the least and the largest good value.
+        tolerance: relative change against the baseline that is no news; None where the figure
+            alone counts, as for rounding errors.
+        digits: of the value, in tables.
+    """
+
+    name: str
+    unit: str
+    direction: Literal["lower", "higher", "target"] = "lower"
+    figure: float | tuple[float, float] | None = None
+    tolerance: float | None = 0.5
+    digits: int = 3
+
+    def reached(self, value: float | None) -> bool | None:
+        """Whether a value is as good as it should be; None where nothing is promised."""
+        if self.figure is None or value is None:
+            return None
+        if isinstance(self.figure, tuple):
+            return self.figure[0] <= value <= self.figure[1]
+        return value <= self.figure if self.direction == "lower" else value >= self.figure
+
+
+class Measured(NamedTuple):
+    """A metric's value, or None and the reason; the note says how it came about."""
+
+    value: float | None
+    note: str = ""
+
+
+class Case(NamedTuple):
+    """Metrics that are measured together.
+
+    Attributes:
+        name: "subject/what".
+        metrics: what `measure` returns, by name.
+        measure: importable, so that another process can call it.
+        slow: left out by `--quick`.
+        applies: whether there is reason to run it; stand-ins do not apply where real data is.
+    """
+
+    name: str
+    metrics: Sequence[Metric]
+    measure: Callable[[Settings], Mapping[str, Measured]]
+    slow: bool = False
+    applies: Callable[[Settings], bool] = lambda settings: True
+
+
+class Outcome(NamedTuple):
+    """What came of a case.
+
+    Attributes:
+        measured: by metric; one whose measurement was not possible has no value.
+        seconds: of the whole case, preparation included.
+        peak_memory: MB, of the whole process.
+        failure: traceback, where the case broke.
+    """
+
+    measured: dict[str, Measured]
+    seconds: float = 0.0
+    peak_memory: float | None = None
+    failure: str = ""
+
+
+def chosen(cases: Iterable[Case], settings: Settings, only: Sequence[str]) -> list[Case]:
+    """The cases that apply, and whose names start with one of `only` (all, if there is none)."""
+    return [
+        case
+        for case in cases
+        if case.applies(settings)
+        and not (case.slow and settings.quick)
+        and (not only or case.name.startswith(tuple(only)))
+    ]
+
+
+def run(cases: Sequence[Case], settings: Settings, out: Path) -> dict[str, Outcome]:
+    """Runs cases one after the other, and prints what they find; those kept in `out` are read."""
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    folder = out / "cases"
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(out / "machine.json", machine())
+    stamp = _stamp(settings)
+    outcomes = {}
+    for number, case in enumerate(cases, 1):
+        kept = folder / f"{case.name.replace('/', '.')}.json"
+        outcome = _read(kept, stamp)
+        print(f"[{number}/{len(cases)}] {case.name} ...", "kept" if outcome else "", flush=True)
+        if outcome is None:
+            outcome = _in_own_process(case, settings)
+            if not outcome.failure and any(m.value is not None for m in outcome.measured.values()):
+                write_json(kept, {"stamp": stamp, **outcome._asdict()})
+        print(_in_lines(case, outcome), flush=True)
+        outcomes[case.name] = outcome
+    return outcomes
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes a whole file or none."""
+    unfinished = path.with_name(path.name + ".part")
+    unfinished.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    unfinished.replace(path)
+
+
+def in_digits(value: float | None, metric: Metric) -> str:
+    """A value with its unit, for people."""
+    if value is None:
+        return "–"
+    return f"{value:.{metric.digits}g} {metric.unit}".rstrip()
+
+
+def _in_lines(case: Case, outcome: Outcome) -> str:
+    if outcome.failure:
+        return outcome.failure
+    lines = []
+    for metric in case.metrics:
+        value, note = outcome.measured[metric.name]
+        verdict = {True: "reached", False: "MISSED", None: ""}[metric.reached(value)]
+        line = f"    {metric.name:28} {in_digits(value, metric):>16}  {verdict:8} {note}"
+        lines.append(line.rstrip())
+    return "\n".join(lines)
+
+
+def _in_own_process(case: Case, settings: Settings) -> Outcome:
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_reply, args=(sender, case.measure, settings), daemon=True)
+    start = time.perf_counter()
+    process.start()
+    sender.close()
+    try:
+        answer: _Answer = receiver.recv()
+        process.join()
+    except EOFError:
+        process.join()
+        answer = _Answer(failure=f"the process ended with code {process.exitcode}")
+    return _checked(case, answer, time.perf_counter() - start)
+
+
+class _Answer(NamedTuple):
+    """What the other process sends: measurements, or why there are none, or a traceback."""
+
+    measured: dict[str, Measured] | None = None
+    reason: str = ""
+    failure: str = ""
+    peak_memory: float | None = None
+
+
+def _reply(sender: Connection, measure: Any, settings: Settings) -> None:
+    """Body of the other process."""
+    try:
+        found = {name: Measured(*each) for name, each in measure(settings).items()}
+        answer = _Answer({name: each._replace(value=_plain(each)) for name, each in found.items()})
+    except NotMeasuredError as reason:
+        answer = _Answer(reason=str(reason))
+    except Exception:
+        answer = _Answer(failure=traceback.format_exc())
+    sender.send(answer._replace(peak_memory=round(peak_memory(), 1)))
+
+
+def _plain(measured: Measured) -> float | None:
+    return None if measured.value is None else float(measured.value)
+
+
+def _checked(case: Case, answer: _Answer, seconds: float) -> Outcome:
+    """The answer, with every metric of the case and no other."""
+    names, failure = [metric.name for metric in case.metrics], answer.failure
+    measured = answer.measured
+    if measured is not None and set(measured) != set(names):
+        failure = f"{case.name}: measured {sorted(measured)}, expected {sorted(names)}"
+    if measured is None or failure:
+        reason = Measured(None, "failed" if failure else answer.reason)
+        measured = dict.fromkeys(names, reason)
+    return Outcome(measured, round(seconds, 2), answer.peak_memory, failure)
+
+
+def _stamp(settings: Settings) -> str:
+    """What results depend on, but for the machine."""
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(repr((settings, machine()["packages"])).encode())
+    for folder in ("pcm_jax", "benchmarks"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _read(path: Path, stamp: str) -> Outcome | None:
+    """The kept outcome of a case, unless there is none of this stamp."""
+    try:
+        kept = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    if kept.pop("stamp", None) != stamp:
+        return None
+    kept["measured"] = {name: Measured(*each) for name, each in kept["measured"].items()}
+    return Outcome(**kept)

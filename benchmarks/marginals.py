@@ -1,0 +1,95 @@
+"""Joint marginals of the poses that closures touch, against GTSAM's one big joint.
+
+Both sides factorise anew every time. GTSAM's is one call of `jointMarginalCovariance` for all the
+poses: asking it pair by pair would take minutes to hours.
+
+Agreement is the largest difference relative to the largest entry. Where the entry's own σᵢ σⱼ is
+the measure it is larger, for a reason on GTSAM's side: the Jacobian of `Pose2`'s logarithm divides
+by 1 − cos θ, which has few digits left at the residuals' small angles.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks import gtsam_peer, maps
+from benchmarks.harness import Case, Measured, Metric, NotMeasuredError, Settings
+from benchmarks.measure import in_words, race, seconds_of, timing_of
+from pcm_jax import PoseGraph, joint_marginal_covariance, optimize, split
+
+HALVES = ("a", "b")
+COUNTS = {100: None, 230: 1.0, 300: None, 1000: 0.2}
+"""Touched poses, and how much of GTSAM's time may be used for them."""
+SLOW = 1000  # GTSAM takes about a minute
+
+
+def joint(name: str, count: int, settings: Settings) -> dict[str, Measured]:
+    """`count` poses of each half of a map: time against GTSAM, agreement."""
+    graph = maps.read_map(name, settings)
+    halves = split(graph, [graph.num_poses // 2]).maps
+    found: dict[str, Measured] = {}
+    for half, part in zip(HALVES, halves, strict=True):
+        measured = _one_half(optimize(part).graph, count, settings)
+        found |= {f"{half}_{metric}": each for metric, each in measured.items()}
+    return found
+
+
+def _one_half(graph: PoseGraph, count: int, settings: Settings) -> dict[str, Measured]:
+    generator = np.random.default_rng(count)
+    touched = 1 + np.sort(generator.choice(graph.num_poses - 1, count, replace=False))
+
+    def ours() -> Float[np.ndarray, "k*d k*d"]:
+        return joint_marginal_covariance(graph, touched)
+
+    first = seconds_of(ours)
+    try:
+        factors, values = gtsam_peer.factors_and_values(graph, "marginals")
+    except NotMeasuredError as reason:
+        alone = f"{in_words(timing_of(ours, settings.patience).median)}; {reason}"
+        return dict.fromkeys(("over_gtsam", "agreement"), Measured(None, alone))
+
+    def theirs() -> Float[np.ndarray, "k*d k*d"]:
+        return gtsam_peer.joint_marginal_covariance(factors, values, touched)
+
+    times = race({"ours": lambda: ours, "gtsam": lambda: theirs}, settings.patience)
+    us, them = times["ours"], times["gtsam"]
+    note = (
+        f"{in_words(us.median)} against {in_words(them.median)}, medians of {us.repeats};"
+        f" first call {in_words(first)}"
+    )
+    largest, scaled = _differences(ours(), gtsam_peer.in_our_order(theirs(), graph.tangent_dim))
+    return {
+        "over_gtsam": Measured(us.median / them.median, note),
+        "agreement": Measured(largest, f"{scaled:.1e} in units of σᵢ σⱼ"),
+    }
+
+
+def _differences(
+    found: Float[np.ndarray, "k k"], expected: Float[np.ndarray, "k k"]
+) -> tuple[float, float]:
+    """Largest difference, relative to the largest entry, and in units of σᵢ σⱼ."""
+    difference, sigma = np.abs(found - expected), np.sqrt(np.diagonal(expected))
+    scaled = difference / (sigma[:, None] * sigma)
+    return float(difference.max() / np.abs(expected).max()), float(scaled.max())
+
+
+def _case(name: str, count: int) -> Case:
+    metrics = [
+        metric
+        for half in HALVES
+        for metric in (
+            Metric(f"{half}_over_gtsam", "×", figure=COUNTS[count]),
+            Metric(f"{half}_agreement", "relative", figure=1e-6, tolerance=None, digits=2),
+        )
+    ]
+    measure = functools.partial(joint, name, count)
+    case = Case(f"marginals/{name}-{count}", metrics, measure, slow=count >= SLOW)
+    if name in maps.SIMULATED:
+        return case._replace(applies=lambda settings: not maps.available("city10000", settings))
+    return case
+
+
+CASES = [_case(name, count) for name in ("city10000", "simulated-city") for count in COUNTS]

@@ -1,0 +1,126 @@
+"""Summary, table, baseline, and the table in this folder's README."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import Case, Metric, Outcome, in_digits, write_json
+
+HERE = Path(__file__).parent
+BASELINE = HERE / "baseline.json"
+README = HERE / "README.md"
+MARKERS = "<!-- results: generated, do not edit -->", "<!-- end of results -->"
+HEAD = ("metric", "value", "to reach", "reached", "of baseline", "how")
+
+Entry = dict[str, Any]
+
+
+def read_baseline(path: Path = BASELINE) -> dict[str, Entry]:
+    """The committed metrics, by name; none where there is no file."""
+    return json.loads(path.read_text())["metrics"] if path.exists() else {}
+
+
+def summary(
+    cases: Sequence[Case], outcomes: Mapping[str, Outcome], baseline: Mapping[str, Entry]
+) -> dict[str, Entry]:
+    """What `summary.json` holds: every metric by its full name, "subject/what/metric"."""
+    return {
+        f"{case.name}/{metric.name}": _entry(
+            metric, outcomes[case.name], baseline.get(f"{case.name}/{metric.name}", {})
+        )
+        for case in cases
+        for metric in case.metrics
+    }
+
+
+def _entry(metric: Metric, outcome: Outcome, before: Entry) -> Entry:
+    value, note = outcome.measured[metric.name]
+    baseline = before.get("value")
+    ratio = None
+    if value is not None and baseline and metric.tolerance is not None:
+        ratio = value / baseline
+    return {
+        "value": value,
+        "unit": metric.unit,
+        "direction": metric.direction,
+        "baseline": baseline,
+        "tolerance": metric.tolerance,
+        "figure": metric.figure,
+        "reached": metric.reached(value),
+        "ratio": ratio,
+        "change": _change(metric, ratio),
+        "note": note,
+        "case_seconds": outcome.seconds,
+        "peak_memory_mb": outcome.peak_memory,
+        "digits": metric.digits,
+    }
+
+
+def _change(metric: Metric, ratio: float | None) -> str | None:
+    """Says "same", "better" or "worse" than the baseline; "changed" where neither is better."""
+    if ratio is None or metric.tolerance is None:
+        return None
+    if 1 / (1 + metric.tolerance) <= ratio <= 1 + metric.tolerance:
+        return "same"
+    if metric.direction == "target":
+        return "changed"
+    return "better" if (ratio < 1) == (metric.direction == "lower") else "worse"
+
+
+def table(entries: Mapping[str, Entry]) -> str:
+    """All entries as a Markdown table with aligned columns."""
+    rows = [HEAD, *(_row(name, entry) for name, entry in entries.items())]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    rows.insert(1, tuple("-" * width for width in widths))
+    lines = (
+        " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    )
+    return "\n".join(f"| {line} |" for line in lines)
+
+
+def _row(name: str, entry: Entry) -> tuple[str, ...]:
+    metric = Metric(name, entry["unit"], entry["direction"], digits=entry["digits"])
+    verdict = {True: "yes", False: "**no**", None: ""}[entry["reached"]]
+    ratio = "" if entry["ratio"] is None else f"{entry['ratio']:.2f} {entry['change']}"
+    value = in_digits(entry["value"], metric)
+    return name, value, _figure(entry, metric), verdict, ratio, entry["note"]
+
+
+def _figure(entry: Entry, metric: Metric) -> str:
+    figure = entry["figure"]
+    if figure is None:
+        return ""
+    if metric.direction == "target":
+        return f"{figure[0]:.{metric.digits}g} to {in_digits(figure[1], metric)}"
+    return f"{'≤' if metric.direction == 'lower' else '≥'} {in_digits(figure, metric)}"
+
+
+def record(entries: Mapping[str, Entry], machine: Entry) -> None:
+    """Makes results the committed baseline, and the table in the README."""
+    kept = ("value", "unit", "direction", "tolerance")
+    metrics = {
+        name: {key: entry[key] for key in kept}
+        for name, entry in entries.items()
+        if entry["value"] is not None
+    }
+    write_json(BASELINE, {"machine": machine, "metrics": metrics})
+    README.write_text(with_results(README.read_text(), entries, machine))
+
+
+def with_results(text: str, entries: Mapping[str, Entry], machine: Entry) -> str:
+    """A document with the results between its markers."""
+    before, rest = text.split(MARKERS[0])
+    after = rest.split(MARKERS[1])[1]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    described = (
+        f"Measured on {machine['date']} at commit {machine['commit']}: {machine['processor']},"
+        f" {machine['cores']} cores, {machine['memory_gb']} GB; Python {machine['python']},"
+        f" {packages}; {machine['blas_threads']} BLAS threads;"
+        f" load {machine['load_at_start']} when it started."
+    )
+    results = table({name: {**entry, "ratio": None} for name, entry in entries.items()})
+    return f"{before}{MARKERS[0]}\n\n{described}\n\n{results}\n\n{MARKERS[1]}{after}"
