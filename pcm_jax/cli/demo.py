@@ -22,10 +22,7 @@ from pcm_jax.mapping import optimize
 from pcm_jax.merging import MergeResult, merge
 from pcm_jax.simulation import SimulatedWorld, simulate_city
 
-HEAD = (
-    *("method", "accepted", "true", "false", "ATE RMSE (m)"),
-    *("seconds", "compiling", "solver"),
-)
+HEAD = "method", "accepted", "true", "false", "ATE RMSE (m)", "seconds", "compiling", "solver"
 EVERYTHING, PCM = "everything accepted", "PCM"
 
 
