@@ -9,12 +9,20 @@ import numpy as np
 SMALLEST = 16
 
 
-def bucket(size: int, *, smallest: int = SMALLEST) -> int:
-    """The smallest of `smallest`·{1, 1.5, 2, 3, 4, 6, 8, …} that is at least `size`."""
+def bucket(size: int, *, smallest: int = SMALLEST, fine_above: int = 0) -> int:
+    """The least of a few sizes that is at least `size`.
+
+    Args:
+        size: how many rows are needed.
+        smallest: sizes are this, doubled again and again,
+        fine_above: and, beyond this size, what lies halfway between (a quarter less padding at
+            most, for twice as many compilations).
+    """
     upper = smallest
     while upper < size:
         upper *= 2
-    return 3 * upper // 4 if size <= 3 * upper // 4 and upper > smallest else upper
+    halfway = 3 * upper // 4
+    return halfway if upper > smallest and size <= halfway and halfway > fine_above else upper
 
 
 def pad_leading(values: Any, size: int) -> np.ndarray:

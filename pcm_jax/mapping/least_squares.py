@@ -25,6 +25,15 @@ RTOL = 1e-9
 ATOL = 1e-9
 MAX_STEPS = 100
 
+SMALLEST_PADDED = 256
+FINE_ABOVE = 4096
+"""Kernels cost little beside the factorisation, which is not padded: few sizes are worth more."""
+
+
+def padded_size(count: int) -> int:
+    """How many poses or edges the kernels see."""
+    return bucket(count, smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
+
 
 class Solved(NamedTuple):
     """What `solve` returns, on the host.
@@ -93,7 +102,7 @@ def solve(
     tail, head = np.asarray(tail), np.asarray(head)
     n = len(fixed)
     system = system_for(n, tail, head, np.asarray(fixed), information.shape[-1])
-    free = np.zeros(bucket(n), bool)
+    free = np.zeros(padded_size(n), bool)
     free[:n] = ~np.asarray(fixed)
     edges = padded_edges(tail, head, measurement, information)
     problem = Problem(edges, cast(Any, free), cast(Any, np.asarray(system.handle)))
@@ -116,7 +125,7 @@ def padded_edges(
     information: Float[np.ndarray, "e d d"],
 ) -> Edges:
     """Edges in NumPy, padded to a bucket with edges of no weight from the first pose to itself."""
-    missing = bucket(len(tail)) - len(tail)
+    missing = padded_size(len(tail)) - len(tail)
     arrays: Any = (
         np.pad(tail.astype(np.int32), (0, missing)),
         np.pad(head.astype(np.int32), (0, missing)),

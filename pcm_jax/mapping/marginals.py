@@ -19,10 +19,9 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping.cholesky import NotPositiveDefiniteError
 from pcm_jax.mapping.inverse_block import inverse_block
-from pcm_jax.mapping.least_squares import padded_edges
+from pcm_jax.mapping.least_squares import padded_edges, padded_size
 from pcm_jax.mapping.normal_equations import system_for
 from pcm_jax.mapping.optimization import host_arrays
-from pcm_jax.padding import bucket
 from pcm_jax.precision import in_float64
 
 
@@ -88,7 +87,7 @@ def _covariance(graph: PoseGraph, wanted: np.ndarray) -> np.ndarray:
 def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
     """JᵀJ of every edge's two poses, on the host."""
     padded = padded_edges(*edges)
-    start = lie.pad_leading(lie.as_numpy(poses), bucket(lie.parameters(poses).shape[0]))
+    start = lie.pad_leading(lie.as_numpy(poses), padded_size(lie.parameters(poses).shape[0]))
     return np.asarray(_compiled_products()(start, padded))
 
 

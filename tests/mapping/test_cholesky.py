@@ -40,7 +40,10 @@ PATTERNS = {
     "complete": (40, tuple(np.triu_indices(40, 1))),
     "sparse random": (150, random_pairs(150, 200)),
     "dense random": (80, random_pairs(80, 1200)),
-    "two parts": (61, (np.r_[chain(30)[0], 30 + chain(31)[0]], np.r_[chain(30)[1], 30 + chain(31)[1]])),
+    "two parts": (
+        61,
+        (np.r_[chain(30)[0], 30 + chain(31)[0]], np.r_[chain(30)[1], 30 + chain(31)[1]]),
+    ),
 }
 
 
@@ -57,7 +60,9 @@ def random_system(size: int, tail: np.ndarray, head: np.ndarray, d: int):
     blocks[:size] = 0.0
     dense = np.zeros((size, d, size, d))
     pose = np.argsort(plan.position)
-    for block, row, column in zip(blocks, pose[plan.block_row], pose[plan.block_column], strict=True):
+    for block, row, column in zip(
+        blocks, pose[plan.block_row], pose[plan.block_column], strict=True
+    ):
         dense[row, :, column] += block
         dense[column, :, row] += block.T
     weight = np.abs(dense).sum(axis=(2, 3)) + 1.0

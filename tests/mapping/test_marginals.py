@@ -1,5 +1,6 @@
 """Joint marginals against the dense inverse, the gauge, GTSAM and Monte Carlo."""
 
+import jax
 import jaxlie
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from pcm_jax.mapping.optimization import host_arrays
 
 def dense_covariance(graph):
     """Inverse of the dense information, first pose held."""
-    _, by_tail, by_head = map(np.asarray, linearize(graph.poses, padded_edges(*host_arrays(graph))))
+    _, by_tail, by_head = map(
+        np.asarray, jax.jit(linearize)(graph.poses, padded_edges(*host_arrays(graph)))
+    )
     n, d, e = graph.num_poses, graph.tangent_dim, graph.num_edges
     jacobian = np.zeros((e, d, n, d))
     for k, (i, j) in enumerate(zip(np.asarray(graph.tail), np.asarray(graph.head), strict=True)):

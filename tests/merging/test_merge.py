@@ -164,7 +164,7 @@ def test_anchor_covariance_is_that_of_the_first_pose(world, result):
     from pcm_jax.mapping.linearization import linearize
 
     edges = padded_edges(*host_arrays(joint))
-    _, by_tail, by_head = map(np.asarray, linearize(joint.poses, edges))
+    _, by_tail, by_head = map(np.asarray, jax.jit(linearize)(joint.poses, edges))
     jacobian = np.zeros((joint.num_edges, d, n, d))
     for k, (i, j) in enumerate(zip(np.asarray(joint.tail), np.asarray(joint.head), strict=True)):
         jacobian[k, :, i] += by_tail[:, :, k]
