@@ -11,8 +11,8 @@ PARAMETERS_DIM = 1
 TANGENT_DIM = 1
 MATRIX_DIM = 2
 
-Element = tuple[Any]
-Tangent = tuple[Any]
+Element = tuple[Any, ...]
+Tangent = tuple[Any, ...]
 
 
 def identity() -> Element:

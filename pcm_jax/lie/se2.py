@@ -15,8 +15,8 @@ PARAMETERS_DIM = 4
 TANGENT_DIM = 3
 MATRIX_DIM = 3
 
-Element = tuple[Any, Any, Any, Any]
-Tangent = tuple[Any, Any, Any]
+Element = tuple[Any, ...]
+Tangent = tuple[Any, ...]
 Entries = unrolled.Matrix
 
 

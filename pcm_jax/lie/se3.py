@@ -21,8 +21,8 @@ PARAMETERS_DIM = 7
 TANGENT_DIM = 6
 MATRIX_DIM = 4
 
-Element = tuple[Any, Any, Any, Any, Any, Any, Any]
-Tangent = tuple[Any, Any, Any, Any, Any, Any]
+Element = tuple[Any, ...]
+Tangent = tuple[Any, ...]
 Entries = unrolled.Matrix
 
 # atan(n/w)/(n/w) as a series in (n/w)²: at n² < 0.01 the terms left out are below 1e-17.
@@ -87,7 +87,7 @@ def exp(tangent: Tangent) -> Element:
     versine = 2.0 * sin_half * sin_half
     rest = angle.sin_remainder(t, 2.0 * cos_half * sin_half)
     x, y, z = _twist(v, omega, versine, rest)
-    return (cos_half, *(sin_half * w for w in omega), x, y, z)  # type: ignore[return-value]
+    return (cos_half, *(sin_half * w for w in omega), x, y, z)
 
 
 def _angle_over_sine(w: Any, squared_sine: Any) -> Any:
@@ -110,7 +110,7 @@ def log(a: Element) -> Tangent:
     signed = xp.where(negative, -ratio, ratio)
     omega = tuple(signed * q for q in a[1:4])
     rest = angle.cot_remainder(ratio * ratio * squared_sine, 0.5 * ratio * w)
-    return (*_twist(a[4:], omega, -0.5, rest), *omega)  # type: ignore[return-value]
+    return (*_twist(a[4:], omega, -0.5, rest), *omega)
 
 
 def rotation_matrix(a: Element) -> Entries:
@@ -150,13 +150,13 @@ def left_tangent(a: Element, velocity: Element) -> Tangent:
     rate = _multiply_quaternions(velocity, (a[0], -a[1], -a[2], -a[3]))
     omega = tuple(2.0 * r for r in rate[1:])
     lever = cross(omega, a[4:])
-    return (*(velocity[4 + i] - lever[i] for i in range(3)), *omega)  # type: ignore[return-value]
+    return (*(velocity[4 + i] - lever[i] for i in range(3)), *omega)
 
 
 def bracket(a: Tangent, b: Tangent) -> Tangent:
     """[a, b]: the derivative of Ad(exp(s a)) b at s = 0."""
     by_turn, by_shift = cross(a[3:], b[:3]), cross(a[:3], b[3:])
-    return (*(by_turn[i] + by_shift[i] for i in range(3)), *cross(a[3:], b[3:]))  # type: ignore[return-value]
+    return (*(by_turn[i] + by_shift[i] for i in range(3)), *cross(a[3:], b[3:]))
 
 
 def _dual(diagonal: Entries, corner: Entries) -> Entries:
@@ -222,7 +222,7 @@ def right_jacobian_inverse(tangent: Tangent) -> Entries:
 def normalize(a: Element) -> Element:
     """The quaternion scaled to unit length."""
     scale = 1.0 / namespace(*a).sqrt(unrolled.dot(a[:4], a[:4]))
-    return (*(scale * q for q in a[:4]), *a[4:])  # type: ignore[return-value]
+    return (*(scale * q for q in a[:4]), *a[4:])
 
 
 def to_matrix(a: Element) -> Entries:
@@ -254,4 +254,4 @@ def from_matrix(matrix: Any) -> Element:
         larger = multiples[k][k] > factor
         factor = xp.where(larger, multiples[k][k], factor)
         best = tuple(xp.where(larger, n, o) for n, o in zip(multiples[k], best, strict=True))
-    return normalize((*best, r[0][3], r[1][3], r[2][3]))  # type: ignore[arg-type]
+    return normalize((*best, r[0][3], r[1][3], r[2][3]))

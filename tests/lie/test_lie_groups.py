@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.lie import unrolled
 
 GROUPS = [jaxlie.SE2, jaxlie.SE3, lie.R1]
 groups = pytest.mark.parametrize("group", GROUPS, ids=lambda group: group.__name__)
@@ -73,6 +74,32 @@ def test_right_jacobian_is_the_derivative_of_exp(group, size):
     retract = jax.jacfwd(lambda x: lie.log(lie.compose(base, lie.exp(group, x))))
     backward = retract(jnp.zeros_like(tau))
     np.testing.assert_allclose(lie.right_jacobian_inverse(group, tau), backward, atol=1e-12)
+
+
+@groups
+def test_left_perturbations(group):
+    """What turns right perturbations into left ones, and derivatives of parameters into either."""
+    module, transform = lie.module_of(group), elements(group, 5, 16)
+    a = lie.components(transform)
+    tau, other = draw(group, 5, 17).T, draw(group, 5, 18).T
+    adjoint = lie.adjoint(transform)
+    covariance = np.einsum("in,jn->nij", tau, tau) + np.eye(len(tau))
+    found = module.adjoint_sandwich(a, unrolled.from_array(covariance))
+    expected = adjoint @ covariance @ adjoint.swapaxes(-1, -2)
+    np.testing.assert_allclose(unrolled.to_array(found, like=a[0]), expected, atol=1e-11)
+
+    def moved(step):
+        return module.compose(module.exp(tuple(step * tau)), a)
+
+    _, velocity = jax.jvp(moved, (0.0,), (1.0,))
+    np.testing.assert_allclose(np.stack(module.left_tangent(a, velocity)), tau, atol=1e-13)
+
+    def carried(step):
+        return unrolled.apply(module.adjoint(module.exp(tuple(step * tau))), tuple(other))
+
+    _, turned = jax.jvp(carried, (0.0,), (1.0,))
+    for found, expected in zip(module.bracket(tuple(tau), tuple(other)), turned, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
 @groups
