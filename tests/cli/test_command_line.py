@@ -57,7 +57,9 @@ def test_inspect_finds_what_is_odd(run, city, tmp_path):
     rows += [
         f"{edge} {a} {a + 59} 0 0 0 {information}",
         f"{edge} {a} {a + 1} 1 0 0 {information}",
-        f"{edge} {a} {b} 0 0 0 1 0 0 1 0 1e-12",
+        f"{edge} {a} {b} 0 0 0 1 0.9999999999 0 1 0 1",
+        f"VERTEX_SE2 {a + 70} 0 0 0",
+        f"{edge} {a + 59} {a + 70} 1 0 0 {information}",
         f"{edge} {b} {b + 1} 1 0 0 1 0 0 1 0 -1",
         "VERTEX_XY 7 0 0",
     ]
@@ -71,7 +73,9 @@ def test_inspect_finds_what_is_odd(run, city, tmp_path):
         "robot a: consecutive poses without an edge between them: 1",
         "robot a: loop closures that measure exactly the identity: 1",
         "robot b: edges between poses that another edge joins already: 1",
+        "robot a: gaps in the poses' ids: 1",
         "between robots: closures that measure exactly the identity: 1",
+        "between robots: information matrices that are nearly singular: 1",
     ):
         assert any(words in finding for finding in findings), (words, ran.out)
 
