@@ -1,0 +1,222 @@
+"""The selection methods as pure kernels, for many small problems at once.
+
+Each takes one matrix and returns one mask; the shape alone fixes the work, so that worlds are
+batched by `vmap` (`select_batched` does it, in blocks that fit into cache). With the same rules for
+ties as the host's methods of the same names, they return the same sets:
+
+- combinatorial: all subsets of the first half and all of the second, 2^(m/2) each, meet in the
+  middle. With N(v) the measurements consistent with v, the largest set within S is found for all S
+  of the second half by `f(S ∪ {v}) = max(f(S), 1 + f(S ∩ N(v)))`, and a consistent set T of the
+  first half goes on with `f(∩ N(t), t in T)`. Of equal sets, the lexicographically smallest.
+- PCM-Exact: depth first over bit sets in the order of the indices, a branch cut where even all of
+  its candidates would not improve. The first largest set met is the lexicographically smallest.
+- PCM-HeuPatt: candidates only ever leave, so one sweep in the order of falling degree takes from
+  every start at once what the greedy rule would.
+- RANSAC, SCGP: as in `ransac` and `scgp`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, UInt32
+
+from pcm_jax.consistency import consistency_graph
+from pcm_jax.errors import InputError
+
+WORD = 32
+_BLOCK = 1 << 20  # entries of the largest array within a block of worlds
+
+
+def select_batched(
+    squared: Float[Array, "*batch m m"], gate: Any, *, method: str = "pcm-exact", **options: Any
+) -> Bool[Array, "*batch m"]:
+    """What a method keeps in each of many small problems; jit it.
+
+    Args:
+        squared: [..., m, m], squared distances, as in `select_from`.
+        gate: γ², one number.
+        method: as in `select_from`.
+        **options: `affinity` of `"scgp"`.
+
+    Returns:
+        bool [..., m], what `select_from` returns for each matrix in the same precision.
+
+    Raises:
+        InputError: an unknown method, or more than 32 measurements for
+            `"combinatorial"` or `"pcm-exact"`.
+    """
+    if method not in KERNELS:
+        raise InputError(f"method: {method!r}, expected one of {', '.join(KERNELS)}")
+    *batch, m, _ = squared.shape
+    if m == 0:
+        return jnp.zeros((*batch, 0), bool)
+    widest = max(m * m, 1 << m // 2) if method == "combinatorial" else m * m
+    members = jax.lax.map(
+        lambda one: KERNELS[method](one, gate, **options),
+        squared.reshape(-1, m, m),
+        batch_size=max(1, _BLOCK // widest),
+    )
+    return members.reshape(*batch, m)
+
+
+def combinatorial(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
+    """The largest pairwise consistent set by enumeration of each half's subsets, m ≤ 32."""
+    m = _at_most(WORD, squared, "combinatorial")
+    graph = consistency_graph(squared, gate)
+    half = m // 2
+    weight = 1 << np.concatenate([np.arange(half - 1, -1, -1), np.arange(m - half - 1, -1, -1)])
+    near_first = _words(graph[:, :half], weight[:half])
+    near_second = _words(graph[:, half:], weight[half:])
+    # Ranks: larger sets first, of equal ones the larger number, which is the smaller set.
+    one = 1 << (m - half)
+    largest = jnp.zeros(1, jnp.uint32)  # rank of the best set within each subset of the second half
+    for v in range(m - 1, half - 1, -1):
+        lower = jnp.arange(largest.size, dtype=jnp.uint32)
+        with_v = largest[lower & near_second[v]] + np.uint32(one + weight[v])
+        largest = jnp.append(largest, jnp.maximum(largest, with_v))
+    consistent = jnp.ones(1, bool)
+    common = jnp.full(1, one - 1, jnp.uint32)  # of the second half, near every member
+    for v in range(half - 1, -1, -1):
+        lower = jnp.arange(common.size, dtype=jnp.uint32)
+        consistent = jnp.append(consistent, consistent & (lower & ~near_first[v] == 0))
+        common = jnp.append(common, common & near_second[v])
+    first = np.arange(1 << half, dtype=np.uint32)
+    size = np.bitwise_count(first) + (largest[common] // one)
+    best = jnp.argmax(jnp.where(consistent, size << half | first, 0)).astype(jnp.uint32)
+    halves = [jnp.full(half, best), jnp.full(m - half, largest[common[best]])]
+    return jnp.concatenate(halves) & weight.astype(np.uint32) != 0
+
+
+class _Search(NamedTuple):
+    """A depth-first search; entries of the stacks beyond `depth` are leftovers."""
+
+    depth: Array  # vertices chosen; -1 at the end
+    candidates: UInt32[Array, " m+1"]
+    chosen: UInt32[Array, " m+1"]
+    best: Array
+    best_size: Array
+
+
+def pcm_exact(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
+    """The largest pairwise consistent set by branch and bound, m ≤ 32."""
+    m = _at_most(WORD, squared, "pcm-exact")
+    graph = consistency_graph(squared, gate)
+    bit = np.uint32(1) << np.arange(m, dtype=np.uint32)
+    neighbours = _words(graph, bit)
+    levels = np.arange(m + 1)
+
+    def step(state: _Search) -> _Search:
+        depth, candidates, chosen, best, best_size = state
+        here = candidates[depth]
+        first = here & -here
+        rest = here ^ first
+        hopeless = depth + jax.lax.population_count(here).astype(depth.dtype) <= best_size
+        inside = rest & neighbours[_index(first)]
+        with_first = chosen[depth] | first
+        below = (levels == depth + 1) & ~hopeless
+        better = ~hopeless & (depth + 1 > best_size)
+        return _Search(
+            jnp.where(hopeless, depth - 1, depth + 1),
+            jnp.where(below, inside, jnp.where((levels == depth) & ~hopeless, rest, candidates)),
+            jnp.where(below, with_first, chosen),
+            jnp.where(better, with_first, best),
+            jnp.where(better, depth + 1, best_size),
+        )
+
+    # One less than a set that exists: the first of the largest sets is still an improvement.
+    floor = jnp.sum(_greedy(graph), dtype=jnp.int32) - 1
+    empty = jnp.zeros(m + 1, jnp.uint32)
+    everything = np.uint32((1 << m) - 1)
+    start = _Search(jnp.int32(0), empty.at[0].set(everything), empty, jnp.uint32(0), floor)
+    return jax.lax.while_loop(lambda state: state.depth >= 0, step, start).best & bit != 0
+
+
+def pcm_heuristic(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
+    """A large pairwise consistent set, greedily by degree from every measurement (HeuPatt)."""
+    return _greedy(consistency_graph(squared, gate))
+
+
+def ransac(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
+    """The measurements within the gate of the model that has most of them."""
+    distances = _symmetrised(squared)
+    support = distances <= gate
+    total = jnp.where(support, distances, 0.0).sum(axis=1)
+    return support[jnp.lexsort((total, -support.sum(axis=1)))[0]]
+
+
+def scgp(
+    squared: Float[Array, "m m"], gate: Any, *, affinity: str = "gaussian"
+) -> Bool[Array, " m"]:
+    """The cluster of largest average affinity among the leading eigenvector's thresholds."""
+    if affinity not in AFFINITIES:
+        raise InputError(f"affinity: {affinity!r}, expected one of {', '.join(AFFINITIES)}")
+    distances = _symmetrised(squared)
+    affinities = AFFINITIES[affinity](jnp.where(jnp.isnan(distances), jnp.inf, distances), gate)
+    leading = jnp.abs(jnp.linalg.eigh(affinities)[1][:, -1])
+    order = jnp.argsort(-leading, stable=True)
+    within = affinities[order][:, order].cumsum(axis=0).cumsum(axis=1).diagonal()
+    largest = jnp.argmax(within / jnp.arange(1, len(order) + 1))
+    return jnp.zeros(len(order), bool).at[order].set(jnp.arange(len(order)) <= largest)
+
+
+def _greedy(graph: Bool[Array, "m m"]) -> Bool[Array, " m"]:
+    """From every start: always the candidate of largest degree, ties by index; the first best."""
+    order = jnp.argsort(-graph.sum(axis=0), stable=True)
+    ranked = graph[order][:, order]
+
+    def visit(carry: tuple[Array, Array], vertex: tuple[Array, Array]) -> tuple[Any, None]:
+        candidates, members = carry  # [start, vertex]
+        index, near = vertex
+        taken = candidates[:, index]
+        candidates = candidates & (near | ~taken[:, None])
+        return (candidates, members.at[:, index].max(taken)), None
+
+    starts = jnp.eye(len(graph), dtype=bool)
+    (_, members), _ = jax.lax.scan(visit, (ranked, starts), (jnp.arange(len(graph)), ranked))
+    best = members[jnp.argmax(members.sum(axis=1))]
+    return jnp.zeros_like(best).at[order].set(best)
+
+
+def _symmetrised(squared: Float[Array, "m m"]) -> Float[Array, "m m"]:
+    larger = jnp.maximum(squared, squared.T)
+    return jnp.where(np.eye(len(squared), dtype=bool), 0.0, larger)
+
+
+def _words(rows: Bool[Array, "m m"], weight: Any) -> UInt32[Array, " m"]:
+    """Each row as a bit set; different bits add without a carry."""
+    return jnp.sum(jnp.where(rows, weight.astype(np.uint32), 0), axis=1, dtype=jnp.uint32)
+
+
+def _index(single: Array) -> Array:
+    """The position of the one bit that is set."""
+    return WORD - 1 - jax.lax.clz(single)
+
+
+def _at_most(limit: int, squared: Any, method: str) -> int:
+    m = squared.shape[-1]
+    if m > limit:
+        raise InputError(
+            f"squared: {m} measurements, expected at most {limit} for batched method {method!r}"
+        )
+    return m
+
+
+AFFINITIES: dict[str, Callable[[Any, Any], Any]] = {
+    "gaussian": lambda squared, gate: jnp.exp(-0.5 * squared),
+    "binary": lambda squared, gate: (squared <= gate).astype(squared.dtype),
+    "linear": lambda squared, gate: jnp.clip(1.0 - jnp.sqrt(squared / gate), 0.0, 1.0),
+}
+"""As in `scgp`; "linear" needs a gate above zero."""
+
+KERNELS: dict[str, Callable[..., Bool[Array, " m"]]] = {
+    "pcm-exact": pcm_exact,
+    "pcm-heuristic": pcm_heuristic,
+    "combinatorial": combinatorial,
+    "ransac": ransac,
+    "scgp": scgp,
+}
