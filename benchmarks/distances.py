@@ -15,7 +15,7 @@ import jaxlie
 import numpy as np
 
 from benchmarks.harness import Case, Measured, Metric, Settings
-from benchmarks.measure import Call, Timing, in_words, race, seconds_of
+from benchmarks.measure import Call, alone, in_words, race, seconds_of
 from benchmarks.random_worlds import moved, random_closures, random_map
 from pcm_jax import (
     ConsistencyProblem,
@@ -41,7 +41,7 @@ def many_in_space(settings: Settings) -> dict[str, Measured]:
     times = race({"closed": lambda: closed, "jacfwd": lambda: jacfwd}, settings.patience)
     ours, theirs = times["closed"].median, times["jacfwd"].median
     return {
-        "pair": Measured(1e6 * ours / MANY**2, _in_note(times["closed"])),
+        "pair": Measured(1e6 * ours / MANY**2, alone(times["closed"])),
         "compilation": Measured(first - ours, "first call without its run"),
         "speedup_over_jacfwd": Measured(
             (theirs / FEW**2) / (ours / MANY**2),
@@ -64,10 +64,10 @@ def paper_in_plane(settings: Settings) -> dict[str, Measured]:
     first = seconds_of(kernel)
     from_maps()
     times = race({"kernel": lambda: kernel, "whole": lambda: from_maps}, settings.patience)
-    alone, whole = times["kernel"], times["whole"]
+    kernel_alone, whole = times["kernel"], times["whole"]
     return {
-        "kernel": Measured(1e3 * alone.median, _in_note(alone)),
-        "compilation": Measured(first - alone.median, "first call without its run"),
+        "kernel": Measured(1e3 * kernel_alone.median, alone(kernel_alone)),
+        "compilation": Measured(first - kernel_alone.median, "first call without its run"),
         "from_maps": Measured(
             1e3 * whole.median, "joint marginals included; the paper's Q took 70.8 s"
         ),
@@ -113,10 +113,6 @@ def _compiled(kernel: str, problem: ConsistencyProblem) -> Call:
     """A call that runs the kernel alone, to be compiled by its first call."""
     compiled = jax.jit(functools.partial(squared_mahalanobis, kernel=kernel))
     return lambda: jax.block_until_ready(compiled(problem))
-
-
-def _in_note(timing: Timing) -> str:
-    return f"{in_words(timing.median)}, median of {timing.repeats}"
 
 
 def _largest_difference(maps: list[PoseGraph], closures: Any) -> float:

@@ -11,7 +11,7 @@ import tempfile
 
 from benchmarks import maps
 from benchmarks.harness import ENVIRONMENT, Case, Measured, Metric, Settings
-from benchmarks.measure import seconds_of, timing_of
+from benchmarks.measure import alone, seconds_of, timing_of
 from pcm_jax import merge, select
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
@@ -45,7 +45,7 @@ def two_maps(group: str, settings: Settings) -> dict[str, Measured]:
     note = f"{true} of {world.inliers.sum()} true closures and {false} false ones accepted"
     return {
         "first": Measured(first, "plans and compilation included"),
-        "again": Measured(timing.median, f"median of {timing.repeats}; {note}"),
+        "again": Measured(timing.median, f"{alone(timing)}; {note}"),
     }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from benchmarks import maps
 from benchmarks.harness import Case, Measured, Metric, Settings
-from benchmarks.measure import seconds_of, timing_of
+from benchmarks.measure import alone, seconds_of, timing_of
 from pcm_jax import MultiRobotGraph, read_graph, write_g2o
 from pcm_jax.graph import LoopClosures
 
@@ -31,7 +31,7 @@ def simulated(settings: Settings) -> dict[str, Measured]:
 def _read(path: Path, settings: Settings) -> dict[str, Measured]:
     first = seconds_of(lambda: read_graph(path))
     timing = timing_of(lambda: read_graph(path), settings.patience)
-    note = f"median of {timing.repeats}; the first in the process {first:.2f} s"
+    note = f"{alone(timing)}; the first in the process {first:.2f} s"
     return {"read": Measured(timing.median, note)}
 
 

@@ -13,15 +13,17 @@ import multiprocessing
 import os
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from benchmarks.measure import THREADS, Patience, cores, machine, peak_memory
+from benchmarks.measure import Patience, cores, machine, peak_memory
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
+THREADS = "OPENBLAS_NUM_THREADS"
 ENVIRONMENT = {
     # As users have it. The package itself keeps small fronts on one thread; GTSAM has only one.
     THREADS: str(cores()),
@@ -136,11 +138,10 @@ def chosen(cases: Iterable[Case], settings: Settings, only: Sequence[str]) -> li
 
 def run(cases: Sequence[Case], settings: Settings, out: Path) -> dict[str, Outcome]:
     """Runs cases one after the other, and prints what they find; those kept in `out` are read."""
-    for name, value in ENVIRONMENT.items():
-        os.environ.setdefault(name, value)
     folder = out / "cases"
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(out / "machine.json", machine())
+    threads = os.environ.get(THREADS, ENVIRONMENT[THREADS])
+    write_json(out / "machine.json", {**machine(), "blas_threads": threads})
     stamp = _stamp(settings)
     outcomes = {}
     for number, case in enumerate(cases, 1):
@@ -187,7 +188,8 @@ def _in_own_process(case: Case, settings: Settings) -> Outcome:
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_reply, args=(sender, case.measure, settings), daemon=True)
     start = time.perf_counter()
-    process.start()
+    with _environment():
+        process.start()
     sender.close()
     try:
         answer: _Answer = receiver.recv()
@@ -196,6 +198,18 @@ def _in_own_process(case: Case, settings: Settings) -> Outcome:
         process.join()
         answer = _Answer(failure=f"the process ended with code {process.exitcode}")
     return _checked(case, answer, time.perf_counter() - start)
+
+
+@contextmanager
+def _environment() -> Iterator[None]:
+    """A scope in which `ENVIRONMENT` is set, where the caller's own does not say otherwise."""
+    before = dict(os.environ)
+    os.environ.update(ENVIRONMENT | before)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 class _Answer(NamedTuple):

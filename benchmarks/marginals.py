@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from benchmarks import gtsam_peer, maps
 from benchmarks.harness import Case, Measured, Metric, NotMeasuredError, Settings
-from benchmarks.measure import in_words, race, seconds_of, timing_of
+from benchmarks.measure import against, in_words, race, seconds_of, timing_of
 from pcm_jax import PoseGraph, joint_marginal_covariance, optimize, split
 
 HALVES = ("a", "b")
@@ -56,10 +56,7 @@ def _one_half(graph: PoseGraph, count: int, settings: Settings) -> dict[str, Mea
 
     times = race({"ours": lambda: ours, "gtsam": lambda: theirs}, settings.patience)
     us, them = times["ours"], times["gtsam"]
-    note = (
-        f"{in_words(us.median)} against {in_words(them.median)}, medians of {us.repeats};"
-        f" first call {in_words(first)}"
-    )
+    note = f"{against(us, them)}; first call {in_words(first)}"
     largest, scaled = _differences(ours(), gtsam_peer.in_our_order(theirs(), graph.tangent_dim))
     return {
         "over_gtsam": Measured(us.median / them.median, note),

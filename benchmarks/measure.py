@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 Call = Callable[[], Any]
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "optimistix", "sparsax", "gtsam", "networkx")
-THREADS = "OPENBLAS_NUM_THREADS"
 
 
 class Timing(NamedTuple):
@@ -99,6 +98,21 @@ def in_words(seconds: float) -> str:
     return f"{seconds / 1e-9:.3g} ns"
 
 
+def against(ours: Timing, theirs: Timing) -> str:
+    """Two raced timings in words."""
+    return f"{_range(ours)} against {_range(theirs)}, {ours.repeats} rounds"
+
+
+def alone(timing: Timing) -> str:
+    """One timing in words."""
+    return f"{_range(timing)}, {timing.repeats} runs"
+
+
+def _range(timing: Timing) -> str:
+    extremes = in_words(timing.fastest), in_words(timing.slowest)
+    return f"{in_words(timing.median)} ({' to '.join(extremes)})"
+
+
 def peak_memory() -> float:
     """The largest resident size of this process so far, in MB (10⁶ bytes)."""
     try:  # Linux: unlike `getrusage`, not inherited from the process that started this one
@@ -119,7 +133,6 @@ def machine() -> dict[str, Any]:
         "system": platform.system(),
         "python": platform.python_version(),
         "packages": {name: _version(name) for name in PACKAGES},
-        "blas_threads": os.environ.get(THREADS),
         "load_at_start": round(os.getloadavg()[0], 2),
         "commit": _commit(),
         "date": time.strftime("%Y-%m-%d"),

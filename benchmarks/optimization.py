@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks import gtsam_peer, maps
 from benchmarks.harness import Case, Measured, Metric, NotMeasuredError, Settings
-from benchmarks.measure import Timing, in_words, race, seconds_of, timing_of
+from benchmarks.measure import Timing, against, in_words, race, seconds_of, timing_of
 from pcm_jax import InputError, PoseGraph, lie, optimize
 from pcm_jax.mapping.assembly import plan_for
 from pcm_jax.mapping.initialization import chordal_poses
@@ -117,8 +117,7 @@ def _itself(call: Any) -> Any:
 
 
 def _ratio(ours: Timing, theirs: Timing) -> Measured:
-    note = f"{in_words(ours.median)} against {in_words(theirs.median)}, medians of {ours.repeats}"
-    return Measured(ours.median / theirs.median, note)
+    return Measured(ours.median / theirs.median, against(ours, theirs))
 
 
 def _fresh_plans(
@@ -160,5 +159,6 @@ CASES = [
         "optimization/gtsam-lm-torus3D",
         (Metric("cost", "", "target", tolerance=0.1, digits=6),),
         functools.partial(stop_of_gtsam, "torus3D"),
+        slow=True,
     ),
 ]

@@ -13,7 +13,7 @@ HERE = Path(__file__).parent
 BASELINE = HERE / "baseline.json"
 README = HERE / "README.md"
 MARKERS = "<!-- results: generated, do not edit -->", "<!-- end of results -->"
-HEAD = ("metric", "value", "to reach", "reached", "of baseline", "how")
+HEAD = ("metric", "value", "to reach", "reached", "of baseline", "peak MB", "how")
 
 Entry = dict[str, Any]
 
@@ -71,23 +71,28 @@ def _change(metric: Metric, ratio: float | None) -> str | None:
 
 
 def table(entries: Mapping[str, Entry]) -> str:
-    """All entries as a Markdown table with aligned columns."""
-    rows = [HEAD, *(_row(name, entry) for name, entry in entries.items())]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    rows.insert(1, tuple("-" * width for width in widths))
-    lines = (
-        " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        for row in rows
-    )
-    return "\n".join(f"| {line} |" for line in lines)
+    """All entries as a Markdown table with aligned columns; one that is all empty is left out."""
+    rows = [_row(name, entry) for name, entry in entries.items()]
+    columns = [
+        (head, *column)
+        for head, column in zip(HEAD, zip(*rows, strict=True), strict=True)
+        if any(column)
+    ]
+    padded = []
+    for column in columns:
+        width = max(map(len, column))
+        padded.append([cell.ljust(width) for cell in column])
+        padded[-1].insert(1, "-" * width)
+    return "\n".join(f"| {' | '.join(line)} |" for line in zip(*padded, strict=True))
 
 
 def _row(name: str, entry: Entry) -> tuple[str, ...]:
     metric = Metric(name, entry["unit"], entry["direction"], digits=entry["digits"])
     verdict = {True: "yes", False: "**no**", None: ""}[entry["reached"]]
     ratio = "" if entry["ratio"] is None else f"{entry['ratio']:.2f} {entry['change']}"
+    memory = "" if entry["peak_memory_mb"] is None else f"{entry['peak_memory_mb']:.0f}"
     value = in_digits(entry["value"], metric)
-    return name, value, _figure(entry, metric), verdict, ratio, entry["note"]
+    return name, value, _figure(entry, metric), verdict, ratio, memory, entry["note"]
 
 
 def _figure(entry: Entry, metric: Metric) -> str:
