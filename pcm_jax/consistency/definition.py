@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -23,10 +24,11 @@ from jaxtyping import Array, Float
 
 from pcm_jax import lie
 from pcm_jax.consistency.problem import ConsistencyProblem
+from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
 
-# Pairs differentiated in one batch: bounds memory, large enough to be efficient.
-PAIRS_AT_ONCE = 1 << 15
+# Pairs differentiated in one batch: 30 MB of intermediates in SE(3); larger is slower.
+PAIRS_AT_ONCE = 1 << 12
 
 
 def loop_error(z_u: Any, x_ij: Any, z_v: Any, x_lk: Any) -> Float[Array, " d"]:
@@ -90,8 +92,10 @@ def _retract(tree: Any, delta: Float[Array, " n"]) -> Any:
 
 def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Float[Array, "m m"]:
     """`pair(u, v)` for all indices below `count`, vmapped, a batch at a time; diagonal zero."""
+    if count == 0:
+        return jnp.zeros((0, 0))
     pairs = count * count
-    batches = max(1, -(-pairs // PAIRS_AT_ONCE))
+    batches = -(-pairs // PAIRS_AT_ONCE)
     # Pairs past the end repeat the last one, and are cut below: one shape to compile.
     pair_index = jnp.minimum(jnp.arange(batches * -(-pairs // batches)), pairs - 1)
     batch = jax.vmap(lambda index: pair(index // count, index % count))
@@ -149,9 +153,30 @@ def squared_mahalanobis_of(
 
     Returns:
         Not symmetrised, in the dtype of the inputs; safe under jit, vmap and grad.
+
+    Raises:
+        InputError: when the measurements and covariances do not fit together.
     """
+    _check_sizes(measurements, covariances)
     with lie.own_precision((measurements, covariances)):
         return _all_pairs_of(residual, measurements, covariances)
+
+
+def _check_sizes(measurements: Any, covariances: Any) -> None:
+    leaves = jax.tree.leaves(measurements, is_leaf=_is_lie)
+    shapes = [
+        jnp.shape(leaf) if not _is_lie(leaf) else lie.parameters(leaf).shape[:-1] for leaf in leaves
+    ]
+    own = [lie.tangent_dim(leaf) if _is_lie(leaf) else 1 for leaf in leaves]
+    if not shapes or any(len(shape) == 0 or shape[0] != shapes[0][0] for shape in shapes):
+        raise InputError(
+            f"measurements: shapes {shapes}; expected one leading axis m in all leaves"
+        )
+    n = sum(size * math.prod(shape[1:]) for size, shape in zip(own, shapes, strict=True))
+    if jnp.shape(covariances) != (shapes[0][0], n, n):
+        raise InputError(
+            f"covariances: shape {jnp.shape(covariances)}; expected {(shapes[0][0], n, n)}"
+        )
 
 
 @functools.partial(jax.jit, static_argnums=0)

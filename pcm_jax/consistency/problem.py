@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 ROWS_AT_ONCE = 16  # of G, so that what one step needs stays in a cache
 SYMMETRY_TOLERANCE = 1e-6  # of the largest entry
+SMALLEST_PADDED, FINE_ABOVE = 64, 256
 
 
 @jax.tree_util.register_dataclass
@@ -105,7 +106,7 @@ def consistency_problem(
     a = _one_map(map_a, np.asarray(closures.pose_a), side_a, "pose_a", "marginals[0]")
     b = _one_map(map_b, np.asarray(closures.pose_b), side_b, "pose_b", "marginals[1]")
     count = len(lie.parameters(closures.measurement))
-    size = padding.bucket(count)
+    size = _padded_size(count, closures=count)
     covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
     if count == 0:
         d = lie.tangent_dim(group)
@@ -148,9 +149,15 @@ def _one_map(
     # In the order of first use, neighbouring closures read neighbouring rows of G.
     order = np.argsort(first)
     position = np.argsort(order)
-    size = padding.bucket(len(touched))
+    size = _padded_size(len(touched), closures=len(touching))
     covariance = relative_covariance(recentred, joint, order, size)
     return _OneMap(lie.take(recentred, rows), position[rows], covariance)
+
+
+def _padded_size(rows: int, *, closures: int) -> int:
+    """Padded length of closures or of touched poses: one size for both while that is cheap."""
+    rows = max(rows, min(closures, FINE_ABOVE))
+    return padding.bucket(rows, smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
 def _recentred(poses: Any) -> Any:

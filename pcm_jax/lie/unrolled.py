@@ -55,11 +55,6 @@ def transpose(a: Matrix) -> Matrix:
     return tuple(zip(*a, strict=True))
 
 
-def negative(a: Matrix) -> Matrix:
-    """−A."""
-    return tuple(tuple(product(-1.0, entry) for entry in row) for row in a)
-
-
 def add(*terms: Matrix) -> Matrix:
     """The sum A + B + …."""
     first, *rest = terms

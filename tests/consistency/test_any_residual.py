@@ -8,6 +8,7 @@ import pytest
 
 from pcm_jax import lie
 from pcm_jax.consistency import squared_mahalanobis_of
+from pcm_jax.errors import InputError
 
 
 def between(u, v):
@@ -85,3 +86,24 @@ def test_transformations(transformation):
     found = transformation(total)(x)
     expected = {jax.jit: 27.0, jax.grad: 2.0 * (4 * x - x.sum())}[transformation]
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_no_measurements():
+    assert squared_mahalanobis_of(between, lie.R1(np.zeros((0, 1))), np.zeros((0, 1, 1))).size == 0
+
+
+@pytest.mark.parametrize(
+    ("measurements", "covariances", "message"),
+    [
+        (
+            np.zeros((3, 2)),
+            np.ones((3, 1, 1)),
+            r"covariances: shape \(3, 1, 1\); expected \(3, 2, 2\)",
+        ),
+        (lie.R1(np.zeros((3, 1))), np.ones((4, 1, 1)), r"covariances: .*; expected \(3, 1, 1\)"),
+        ([np.zeros(3), np.zeros(4)], np.ones((3, 2, 2)), r"measurements: shapes .* axis m"),
+    ],
+)
+def test_sizes_must_fit(measurements, covariances, message):
+    with pytest.raises(InputError, match=message):
+        squared_mahalanobis_of(between, measurements, covariances)

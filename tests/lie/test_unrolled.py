@@ -34,7 +34,6 @@ def test_products(size):
     np.testing.assert_allclose(dense(unrolled.multiply(entries(a), entries(b))), a @ b)
     np.testing.assert_allclose(dense(unrolled.transpose(entries(a))), transposed)
     np.testing.assert_allclose(dense(unrolled.add(entries(a), entries(b), entries(s))), a + b + s)
-    np.testing.assert_allclose(dense(unrolled.negative(entries(a))), -a)
     found = np.stack(unrolled.apply(entries(a), tuple(v.T)), axis=-1)
     np.testing.assert_allclose(found, np.einsum("nij,nj->ni", a, v))
     np.testing.assert_allclose(
