@@ -34,11 +34,14 @@ class Problem(eqx.Module):
         edges: measurements; padded ones weigh nothing.
         free: `[n]` poses that may move.
         system: handle of the normal equations' pattern.
+        max_steps: evaluations of the cost after which to give up; traced, so that no other value
+            is compiled for.
     """
 
     edges: Edges
     free: Bool[Array, " n"]
     system: Int[Array, ""]
+    max_steps: Int[Array, ""]
 
 
 def _linearize(poses: Any, problem: Problem) -> Any:
@@ -93,6 +96,7 @@ class _State(eqx.Module):
     descent_state: Any
     search_state: Any
     initial_cost: Float[Array, ""]
+    steps: Int[Array, ""]
     accepted: Int[Array, ""]
     terminate: Bool[Array, ""]
     result: optx.RESULTS
@@ -145,6 +149,7 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
             descent_state=self.descent.init(delta, struct),
             search_state=self.search.init(delta, struct),
             initial_cost=jnp.zeros((), delta.dtype),
+            steps=jnp.array(0),
             accepted=jnp.array(0),
             terminate=jnp.array(False),
             result=optx.RESULTS.successful,
@@ -177,6 +182,9 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
         )
         failed = accept & ~jnp.isfinite(cost)
         result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, search_result)
+        out_of_steps = ~terminate & (state.steps + 1 >= args.max_steps)
+        gave_up = optx.RESULTS.nonlinear_max_steps_reached
+        result = optx.RESULTS.where(out_of_steps & ~failed, gave_up, result)
         del descent_result  # a step that was not found is NaN, and judged as such
         return (
             y,
@@ -188,6 +196,7 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
                 descent_state=descent_state,
                 search_state=search_state,
                 initial_cost=jnp.where(state.first_step, cost, state.initial_cost),
+                steps=state.steps + 1,
                 accepted=state.accepted + (accept & ~state.first_step),
                 terminate=terminate,
                 result=result,

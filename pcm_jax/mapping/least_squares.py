@@ -30,9 +30,9 @@ FINE_ABOVE = 4096
 """Kernels cost little beside the factorisation, which is not padded: few sizes are worth more."""
 
 
-def padded_size(count: int) -> int:
-    """How many poses or edges the kernels see."""
-    return bucket(count, smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
+def padded_size(poses: int, edges: int) -> int:
+    """How many poses, and how many edges, the kernels see: one size for both."""
+    return bucket(max(poses, edges), smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
 class Solved(NamedTuple):
@@ -102,12 +102,18 @@ def solve(
     tail, head = np.asarray(tail), np.asarray(head)
     n = len(fixed)
     system = system_for(n, tail, head, np.asarray(fixed), information.shape[-1])
-    free = np.zeros(padded_size(n), bool)
+    size = padded_size(n, len(tail))
+    free = np.zeros(size, bool)
     free[:n] = ~np.asarray(fixed)
-    edges = padded_edges(tail, head, measurement, information)
-    problem = Problem(edges, cast(Any, free), cast(Any, np.asarray(system.handle)))
-    start = lie.pad_leading(lie.as_numpy(poses), len(free))
-    run = _compiled(method, engine, rtol, atol, max_steps)
+    edges = padded_edges(tail, head, measurement, information, size=size)
+    problem = Problem(
+        edges,
+        cast(Any, free),
+        cast(Any, np.asarray(system.handle)),
+        cast(Any, np.asarray(max_steps)),
+    )
+    start = lie.pad_leading(lie.as_numpy(poses), size)
+    run = _compiled(method, engine, rtol, atol)
     final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
     return Solved(
         lie.take(lie.as_numpy(final), slice(0, n)),
@@ -123,20 +129,22 @@ def padded_edges(
     head: Int[np.ndarray, " e"],
     measurement: Any,
     information: Float[np.ndarray, "e d d"],
+    *,
+    size: int,
 ) -> Edges:
-    """Edges in NumPy, padded to a bucket with edges of no weight from the first pose to itself."""
-    missing = padded_size(len(tail)) - len(tail)
+    """`size` edges in NumPy: those added join the first pose to itself, at no weight."""
+    missing = size - len(tail)
     arrays: Any = (
         np.pad(tail.astype(np.int32), (0, missing)),
         np.pad(head.astype(np.int32), (0, missing)),
-        lie.pad_leading(lie.as_numpy(measurement), len(tail) + missing),
+        lie.pad_leading(lie.as_numpy(measurement), size),
         np.pad(whitening_of(information), ((0, 0), (0, 0), (0, missing))),
     )
     return Edges(*arrays)
 
 
 @functools.lru_cache(maxsize=64)
-def _compiled(method: str, engine: str, rtol: float, atol: float, max_steps: int) -> Any:
+def _compiled(method: str, engine: str, rtol: float, atol: float) -> Any:
     """The whole solve as one compiled program per padded size."""
     import optimistix as optx
 
@@ -149,14 +157,14 @@ def _compiled(method: str, engine: str, rtol: float, atol: float, max_steps: int
     }[method]
 
     @jax.jit
-    def run(start: Any, problem: Any) -> Any:
+    def solve_poses(start: Any, problem: Any) -> Any:
         solver = make(engines[engine](), rtol=rtol, atol=atol)
         solution = optx.least_squares(
             lambda poses, args: whitened_residual(poses, args.edges),
             solver,
             start,
             problem,
-            max_steps=max_steps,
+            max_steps=None,  # the problem has its own
             throw=False,
         )
         stats = solution.stats
@@ -168,4 +176,4 @@ def _compiled(method: str, engine: str, rtol: float, atol: float, max_steps: int
             solution.result == optx.RESULTS.successful,
         )
 
-    return run
+    return solve_poses

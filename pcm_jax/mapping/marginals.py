@@ -86,8 +86,9 @@ def _covariance(graph: PoseGraph, wanted: np.ndarray) -> np.ndarray:
 
 def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
     """JᵀJ of every edge's two poses, on the host."""
-    padded = padded_edges(*edges)
-    start = lie.pad_leading(lie.as_numpy(poses), padded_size(lie.parameters(poses).shape[0]))
+    size = padded_size(lie.parameters(poses).shape[0], len(edges[0]))
+    padded = padded_edges(*edges, size=size)
+    start = lie.pad_leading(lie.as_numpy(poses), size)
     return np.asarray(_compiled_products()(start, padded))
 
 
@@ -97,8 +98,8 @@ def _compiled_products() -> Any:
     from pcm_jax.mapping.normal_equations import edge_products
 
     @jax.jit
-    def run(poses: Any, edges: Any) -> Any:
+    def edge_information(poses: Any, edges: Any) -> Any:
         residual, by_tail, by_head = linearize(poses, edges)
         return apart(edges.tail[0] >= 0, edge_products, by_tail, by_head, residual).products
 
-    return run
+    return edge_information

@@ -12,7 +12,7 @@ from pcm_jax.mapping.optimization import host_arrays
 
 def test_jacobians_are_the_derivatives_of_the_residual(group, make_map):
     graph = make_map(group, poses=7, loops=4, noise=0.3)
-    edges = jax.tree.map(jnp.asarray, padded_edges(*host_arrays(graph)))
+    edges = jax.tree.map(jnp.asarray, padded_edges(*host_arrays(graph), size=256))
     d, n, e = graph.tangent_dim, graph.num_poses, edges.tail.shape[0]
 
     def moved(step):
@@ -30,7 +30,7 @@ def test_jacobians_are_the_derivatives_of_the_residual(group, make_map):
 
 def test_cost_is_that_of_the_full_logarithm(group, make_map):
     graph = make_map(group, noise=0.2)
-    edges = padded_edges(*host_arrays(graph))
+    edges = padded_edges(*host_arrays(graph), size=256)
     relative = lie.between(lie.take(graph.poses, graph.tail), lie.take(graph.poses, graph.head))
     r = np.asarray(lie.log(lie.between(graph.measurement, relative)))
     expected = 0.5 * np.einsum("ei,eij,ej->", r, np.asarray(graph.information), r)
@@ -40,7 +40,7 @@ def test_cost_is_that_of_the_full_logarithm(group, make_map):
 
 def test_padded_edges_weigh_nothing(group, make_map):
     graph = make_map(group, poses=9, loops=3)
-    edges = padded_edges(*host_arrays(graph))
+    edges = padded_edges(*host_arrays(graph), size=256)
     assert edges.tail.shape[0] > graph.num_edges
     for part in jax.jit(linearize)(graph.poses, edges):
         assert not np.asarray(part)[..., graph.num_edges :].any()
@@ -48,7 +48,7 @@ def test_padded_edges_weigh_nothing(group, make_map):
 
 def test_kernels_follow_their_inputs_dtype(group, make_map):
     graph = make_map(group)
-    edges = padded_edges(*host_arrays(graph))
+    edges = padded_edges(*host_arrays(graph), size=256)
     single = jax.tree.map(
         lambda x: jnp.asarray(x, jnp.float32) if x.dtype == np.float64 else jnp.asarray(x),
         (lie.as_numpy(graph.poses), edges),

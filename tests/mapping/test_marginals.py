@@ -16,7 +16,7 @@ from pcm_jax.mapping.optimization import host_arrays
 def dense_covariance(graph):
     """Inverse of the dense information, first pose held."""
     _, by_tail, by_head = map(
-        np.asarray, jax.jit(linearize)(graph.poses, padded_edges(*host_arrays(graph)))
+        np.asarray, jax.jit(linearize)(graph.poses, padded_edges(*host_arrays(graph), size=256))
     )
     n, d, e = graph.num_poses, graph.tangent_dim, graph.num_edges
     jacobian = np.zeros((e, d, n, d))
