@@ -15,7 +15,7 @@ jax.monitoring.register_event_duration_secs_listener(
 
 
 def test_ten_robot_pairs_compile_once_or_twice():
-    """Every program of a merge: at most twice for ten pairs of 60 to 240 poses, 9 to 60 closures."""
+    """Every program of a merge, for ten pairs of 60 to 240 poses and 9 to 60 closures."""
     rng = np.random.default_rng(0)
     worlds = [
         simulate_city(
