@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from pcm_jax.errors import InputError
 from pcm_jax.selection.choice import Choice
+from pcm_jax.selection.clipper import clipper
 from pcm_jax.selection.combinatorial import combinatorial
 from pcm_jax.selection.pcm import pcm_exact, pcm_heuristic
 from pcm_jax.selection.ransac import ransac
@@ -23,6 +24,9 @@ METHODS: dict[str, Callable[..., Choice]] = {
     "ransac": ransac,
     "scgp": scgp,
 }
+"""The paper's; `selection.batched` has each for many small problems at once."""
+BEYOND_THE_PAPER: dict[str, Callable[..., Choice]] = {"clipper": clipper}
+ALL_METHODS = METHODS | BEYOND_THE_PAPER
 
 
 def select_from(
@@ -38,7 +42,8 @@ def select_from(
         squared: [m, m], `[u, v]` is q²_uv, not necessarily symmetric; the diagonal is ignored and
             NaN agrees with nothing. `squared_mahalanobis`, or one's own.
         gate: γ², the largest squared distance of two that agree, see `chi2_gate`.
-        method: `"pcm-exact"`, `"pcm-heuristic"`, `"combinatorial"`, `"ransac"` or `"scgp"`.
+        method: `"pcm-exact"`, `"pcm-heuristic"`, `"combinatorial"`, `"ransac"`, `"scgp"` or
+            `"clipper"`.
         **options: the method's own: `time_limit` and `tie_break` of `"pcm-exact"`, `time_limit`
             of `"pcm-heuristic"`, `affinity` of `"scgp"`.
 
@@ -62,14 +67,14 @@ def choose(squared: Any, gate: Any, *, method: str = "pcm-exact", **options: Any
         raise InputError(f"squared: dtype {distances.dtype}, expected numbers")
     if np.ndim(gate) != 0 or not float(gate) >= 0.0:
         raise InputError(f"gate: {gate}, expected one number of at least 0")
-    return METHODS[method](distances.astype(np.float64), float(gate), **options)
+    return ALL_METHODS[method](distances.astype(np.float64), float(gate), **options)
 
 
 def check_method(method: str, options: dict[str, Any]) -> None:
     """Raises `InputError` for a method, or an option of it, that does not exist."""
-    if method not in METHODS:
-        raise InputError(f"method: {method!r}, expected one of {', '.join(METHODS)}")
-    parameters = inspect.signature(METHODS[method]).parameters.values()
+    if method not in ALL_METHODS:
+        raise InputError(f"method: {method!r}, expected one of {', '.join(ALL_METHODS)}")
+    parameters = inspect.signature(ALL_METHODS[method]).parameters.values()
     known = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in known:
