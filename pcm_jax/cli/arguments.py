@@ -92,7 +92,12 @@ def _merge(commands: Any) -> None:
         help="cut one trajectory into robots a, b, ... before these poses (0, 1, ... in the order "
         "of ids); its loop closures across the cuts become the candidates",
     )
-    merge.add_argument("--method", default="pcm-exact", help="default: %(default)s")
+    merge.add_argument(
+        "--method",
+        default="pcm-exact",
+        help="pcm-exact, pcm-heuristic, combinatorial, ransac, scgp, clipper; dcs, gnc, switchable "
+        "or max-mixture (all closures, scaled); or all (default: %(default)s)",
+    )
     merge.add_argument(
         "--confidence",
         type=float,

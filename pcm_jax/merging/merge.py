@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.consistency import chi2_gate
 from pcm_jax.errors import InputError
-from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.compile_time import CompileClock
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.merging.joint import joint_graph, solve_joint
 from pcm_jax.merging.result import MergeResult, MergeSolution
+from pcm_jax.merging.robust import RobustSolution, solve_robustly
+from pcm_jax.merging.robust_methods import ROBUST_METHODS, check_robust_options
 from pcm_jax.precision import in_float64
 from pcm_jax.selection import Selection, select
-from pcm_jax.selection.robot_pairs import optimized_maps
+from pcm_jax.selection.methods import ALL_METHODS
+from pcm_jax.selection.robot_pairs import STAGES, optimized_maps
 
 EVERYTHING = "all"
+GIVEN = "given"
 
 
 @in_float64
@@ -34,7 +39,7 @@ def merge(
     optimized: bool = False,
     minimum_inliers: int = 2,
     time_limit: float | None = None,
-    solver: str = "gauss-newton",
+    solver: str | None = None,
     engine: str = "blocks",
     progress: Callable[[str], None] | None = None,
     **options: Any,
@@ -43,49 +48,84 @@ def merge(
 
     Args:
         graph: at least two maps, and candidate closures between them.
-        method: a selection method (see `select_from`), or "all": every closure is accepted.
-        confidence: probability that the loop of two right closures passes the gate.
+        method: a selection method (see `select_from`); "all": every closure is accepted; or a
+            robust one, "dcs", "gnc", "switchable" or "max-mixture", which keeps all closures in
+            the solve with information scaled by how well they fit (see `merging.robust`).
+        confidence: probability that the loop of two right closures passes the gate; of a robust
+            method, that one right closure does.
         inliers: bool `[m]` or indices: the closures to use instead of selecting any.
         optimized: whether the maps are at their optimum already.
         minimum_inliers: a pair of robots that accepts fewer closures accepts none.
         time_limit: seconds for each robot pair's clique.
-        solver: "gauss-newton" or "levenberg-marquardt", for the merged map.
+        solver: "gauss-newton" or "levenberg-marquardt", for the merged map; by default the
+            first, and the second for robust methods.
         engine: "blocks" or "cholmod", for the merged map.
         progress: called with a line of text when a stage begins.
-        **options: the selection method's own.
+        **options: the method's own. Robust methods have `initial`, where the maps start:
+            "identity" (first poses coincide) or "closures"; `anchors`, Lie `[robots]`, to start
+            there instead; `phi` (dcs), `prior` (switchable), `null_scale`, `null_weight`
+            (max-mixture).
 
     Returns:
         Merged maps, anchors, groups, what was accepted and why.
 
     Raises:
-        InputError: for fewer than two maps, no closures, and what selecting raises.
+        InputError: for fewer than two maps, no closures, an unknown method or option, and what
+            selecting raises.
     """
     _check(graph)
+    method = _checked_method(method, options, time_limit, inliers)
     tell = progress or (lambda text: None)
+    selection = robust = None
     with CompileClock() as compiling:
-        if inliers is not None or method == EVERYTHING:
-            accepted = _given(inliers, len(graph.closures))
-            method = EVERYTHING if inliers is None else "given"
-            start = time.perf_counter()
-            tell(f"optimising {len(graph.maps)} maps")
-            maps, selection = optimized_maps(graph.maps, optimized), None
-            seconds = dict.fromkeys(("optimize", "marginals", "consistency", "clique"), 0.0)
-            seconds["optimize"] = time.perf_counter() - start
-        else:
+        if method in ALL_METHODS:
             selection = _select(
                 graph, method, confidence, optimized, minimum_inliers, time_limit, tell, options
             )
             accepted, maps = selection.inliers, selection.maps
             seconds = dict(selection.seconds)
+        else:
+            start = time.perf_counter()
+            tell(f"optimising {len(graph.maps)} maps")
+            maps = optimized_maps(graph.maps, optimized)
+            seconds = dict.fromkeys(STAGES, 0.0) | {"optimize": time.perf_counter() - start}
+            accepted = _given(inliers, len(graph.closures))
+        own = MultiRobotGraph(maps, graph.closures)
         start = time.perf_counter()
-        tell(f"merging with {int(accepted.sum())} of {len(accepted)} closures")
-        merged, anchors, solution, groups = _solve(
-            MultiRobotGraph(maps, graph.closures), accepted, solver, engine
-        )
+        if method in ROBUST_METHODS:
+            tell(f"merging with {len(accepted)} scaled closures")
+            gate = float(chi2_gate(confidence, graph.tangent_dim))
+            names = {"method": method, "solver": solver or "levenberg-marquardt", "engine": engine}
+            robust = solve_robustly(own, gate=gate, **names, **options)
+            accepted = _enough(graph.closures, robust.accepted, minimum_inliers)
+            solved = _regroup(own, accepted, robust)
+        else:
+            tell(f"merging with {int(accepted.sum())} of {len(accepted)} closures")
+            solved = _solve(own, accepted, solver or "gauss-newton", engine)
+    merged, anchors, solution, groups = solved
     seconds |= {"merge": time.perf_counter() - start, "compile": compiling.seconds}
     return MergeResult(
-        merged, accepted, anchors, solution, groups, selection, maps, method, seconds
+        merged, accepted, anchors, solution, groups, selection, maps, method, seconds, robust
     )
+
+
+def _checked_method(
+    method: str, options: dict[str, Any], time_limit: float | None, inliers: Any
+) -> str:
+    """The method's name, or "given". What selection methods take is checked by `select`."""
+    known = (*ALL_METHODS, *ROBUST_METHODS, EVERYTHING)
+    if method not in known:
+        raise InputError(f"method: {method!r}, expected one of {', '.join(known)}")
+    if inliers is not None:
+        method = GIVEN
+    if method in ROBUST_METHODS:
+        check_robust_options(method, options)
+        if time_limit is not None:
+            raise InputError(f"time_limit: not an option of method {method!r}")
+    elif options and method not in ALL_METHODS:
+        what = "inliers=" if method == GIVEN else f"method {method!r}"
+        raise InputError(f"{next(iter(options))}: not an option that goes with {what}")
+    return method
 
 
 def _select(
@@ -167,22 +207,58 @@ def _solve(
             size = graph.maps[robot].num_poses
             poses[robot] = lie.take(merged, slice(first, first + size))
             first += size
-    anchors = lie.stack(
-        [
-            lie.compose(lie.take(new, 0), lie.inverse(lie.take(lie.as_numpy(own.poses), 0)))
-            for new, own in zip(poses, graph.maps, strict=True)
-        ]
-    )
+    merged_graph, anchors = _placed(graph, poses)
+    return merged_graph, anchors, _summary(graph, solutions, rows - columns), groups
+
+
+def _regroup(
+    graph: MultiRobotGraph, accepted: np.ndarray, robust: RobustSolution
+) -> tuple[MultiRobotGraph, Any, MergeSolution, tuple[tuple[int, ...], ...]]:
+    """Robots that only rejected closures connect get frames of their own again."""
+    groups = robot_groups(len(graph.maps), graph.closures, accepted)
+    poses: list[Any] = [lie.as_numpy(own.poses) for own in graph.maps]
+    for members in groups:
+        if len(members) == 1:
+            continue
+        own, moved = poses[members[0]], lie.as_numpy(robust.maps[members[0]].poses)
+        back = lie.compose(lie.take(own, 0), lie.inverse(lie.take(moved, 0)))
+        for robot in members:
+            poses[robot] = lie.compose(back, lie.as_numpy(robust.maps[robot].poses))
+    rows = sum(own.num_edges for own in graph.maps) + int(accepted.sum())
+    columns = sum(own.num_poses for own in graph.maps) - len(groups)
+    merged_graph, anchors = _placed(graph, poses)
+    return merged_graph, anchors, _summary(graph, [robust], rows - columns), groups
+
+
+def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[MultiRobotGraph, Any]:
+    """The maps at new poses, and the anchors that follow from their first ones."""
+    anchors = [
+        lie.compose(lie.take(new, 0), lie.inverse(lie.take(lie.as_numpy(own.poses), 0)))
+        for new, own in zip(poses, graph.maps, strict=True)
+    ]
     placed = [
         own.with_poses(lie.as_device(new)) for own, new in zip(graph.maps, poses, strict=True)
     ]
-    freedom = (rows - columns) * graph.tangent_dim
-    merged_graph = MultiRobotGraph(tuple(placed), graph.closures)
-    return merged_graph, lie.as_device(anchors), _summary(solutions, freedom), groups
+    return MultiRobotGraph(tuple(placed), graph.closures), lie.as_device(lie.stack(anchors))
 
 
-def _summary(solutions: list[Solution], freedom: int) -> MergeSolution:
+def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.ndarray:
+    """Without the closures of robot pairs that accept fewer than the minimum."""
+    if minimum < 0:
+        raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
+    kept = accepted.copy()
+    for a, b in closures.pairs():
+        _, indices = closures.between(a, b)
+        kept[indices] &= np.count_nonzero(accepted[indices]) >= minimum
+    return kept
+
+
+def _summary(
+    graph: MultiRobotGraph, solutions: Sequence[Solution | RobustSolution], blocks: int
+) -> MergeSolution:
+    """Of all groups; `blocks` are edges less free poses."""
     cost = sum(solution.cost for solution in solutions)
+    freedom = blocks * graph.tangent_dim
     return MergeSolution(
         cost=cost,
         initial_cost=sum(solution.initial_cost for solution in solutions),

@@ -13,6 +13,7 @@ from pcm_jax import lie
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import joint_marginal_covariance
 from pcm_jax.merging.joint import joint_graph
+from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.precision import in_float64
 from pcm_jax.selection import Selection
 
@@ -24,9 +25,11 @@ class MergeSolution:
     """How well the merged maps fit all measurements that were used.
 
     Attributes:
-        cost: 0.5 Σ rᵀΩr over the maps' edges and the accepted closures, all groups.
+        cost: 0.5 Σ rᵀΩr over the maps' edges and the accepted closures, all groups. Of a robust
+            method over all closures, with their scaled information.
         initial_cost: the same with the maps as the closures align them.
-        normalized_chi2: Σ rᵀΩr / (rows − columns), or None when no degree of freedom is left.
+        normalized_chi2: 2 cost / (rows − columns), or None when no degree of freedom is left;
+            rows are those of the maps' edges and the accepted closures.
         iterations: steps taken, all groups.
         converged: whether every group's solve met a tolerance.
     """
@@ -50,11 +53,14 @@ class MergeResult:
             frame, `P = T_r X` at the map's first pose; the identity for a robot by itself.
         solution: costs and convergence.
         groups: tuples of robot indices; robots that no accepted closure connects are apart.
-        selection: how the closures were chosen, with Q and certificates; None if they were given.
+        selection: how the closures were chosen, with Q and certificates; None if they were given
+            or the method is a robust one.
         maps: the robots' own optimised maps, before merging.
         method: how the closures were chosen.
         seconds: wall-clock time of "optimize", "marginals", "consistency", "clique" and "merge";
             "compile" is what JAX's compiler took of these.
+        robust: of a robust method, each closure's scale and where the solve left the maps;
+            else None.
     """
 
     graph: MultiRobotGraph
@@ -66,6 +72,7 @@ class MergeResult:
     maps: tuple[Any, ...]
     method: str
     seconds: dict[str, float]
+    robust: RobustSolution | None = None
 
     @functools.cached_property
     def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
