@@ -120,22 +120,35 @@ def test_no_closures_at_all(world):
     assert squared_mahalanobis(problem).shape == (0, 0)
 
 
-def test_several_tiles(world):
+def several_tiles(world):
     """More closures than a tile holds, and not a multiple of it."""
-    map_a, map_b, _ = world
-    rng = np.random.default_rng(4)
-    closures = worlds.random_closures(world[2].group, rng, map_a, map_b, 150)
-    problem = consistency_problem(map_a, map_b, closures)
-    unpadded = jax.tree.map(lambda leaf: leaf, problem)
-    cut = {
-        name: jax.tree.map(lambda leaf: leaf[:150], getattr(problem, name))
-        for name in ("measurement", "measurement_covariance", "pose_a", "pose_b", "row_a", "row_b")
-    }
-    unpadded = dataclasses.replace(problem, **cut, valid=problem.valid[:150])
-    found = np.asarray(squared_mahalanobis(problem))
-    assert_same(squared_mahalanobis(unpadded), found, 1e-11)
+    map_a, map_b, closures = world
+    return worlds.random_closures(closures.group, np.random.default_rng(4), map_a, map_b, 150)
+
+
+def test_several_tiles(world):
+    closures = several_tiles(world)
+    found = np.asarray(squared_mahalanobis(consistency_problem(*world[:2], closures)))
     for u, v in [(0, 149), (149, 0), (70, 60), (149, 148)]:
-        assert_same(found[u, v], worlds.naive_squared(map_a, map_b, closures, u, v), 1e-9)
+        assert_same(found[u, v], worlds.naive_squared(*world[:2], closures, u, v), 1e-9)
+
+
+def test_a_problem_of_any_size():
+    """Cut by hand to a number of closures that tiles do not divide."""
+    world = worlds.random_world(jaxlie.SE2, seed=1)
+    problem = consistency_problem(*world[:2], several_tiles(world))
+    fields = (
+        "measurement",
+        "measurement_covariance",
+        "pose_a",
+        "pose_b",
+        "row_a",
+        "row_b",
+        "valid",
+    )
+    cut = {name: jax.tree.map(lambda leaf: leaf[:149], getattr(problem, name)) for name in fields}
+    found = squared_mahalanobis(dataclasses.replace(problem, **cut))
+    assert_same(found, np.asarray(squared_mahalanobis(problem))[:149, :149], 1e-11)
 
 
 def test_inside_jit_padding_is_infinite(problem, squared):
