@@ -1,4 +1,5 @@
 """What the paper's experiments share.
 
-record    steps kept on disk, so that a run goes on where it was killed; JSON, CSV, progress
+record    steps kept on disk, so that a run goes on where it was killed; CSV, progress
+cities    the two maps of one city and the true closures between them: a file's, or simulated
 """

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness import write_json
+
 PACKAGE = Path(__file__).resolve().parents[2] / "pcm_jax"
 
 
@@ -37,13 +39,6 @@ class Steps:
             kept = {"stamp": self.stamp, "result": compute()}
             write_json(path, kept)
         return kept["result"]
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Writes a whole file or none."""
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n")
-    unfinished.replace(path)
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:

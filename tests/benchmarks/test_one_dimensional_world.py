@@ -22,10 +22,11 @@ def run(folder, *options):
 @pytest.fixture
 def chunks_of_100(monkeypatch):
     monkeypatch.setattr(one_dimensional_world, "CHUNK", 100)
+    monkeypatch.setattr(one_dimensional_world, "SOURCES", ())
 
 
 @pytest.mark.usefixtures("chunks_of_100")
-def test_shape_of_the_result_and_resuming(tmp_path):
+def test_shape_of_the_result_and_resuming(tmp_path, monkeypatch):
     summary = run(tmp_path, "--worlds", "250")
     assert set(summary) == {"combinatorial", "pcm-exact", "pcm-heuristic", "ransac", "scgp"}
     for method in ("combinatorial", "pcm-exact", "pcm-heuristic"):
@@ -41,13 +42,13 @@ def test_shape_of_the_result_and_resuming(tmp_path):
     assert sum(worlds) == 2 * 250
     assert (tmp_path / "histograms.png").stat().st_size > 10_000
 
-    (tmp_path / "chunks" / "0001.json").unlink()
-    first = (tmp_path / "chunks" / "0000.json").stat().st_mtime_ns
-    again = run(tmp_path, "--worlds", "250")
-    assert (tmp_path / "chunks" / "0000.json").stat().st_mtime_ns == first
-    assert again["scgp"]["same_size"] == summary["scgp"]["same_size"]
-    run(tmp_path, "--worlds", "250", "--seed", "1")
-    assert (tmp_path / "chunks" / "0000.json").stat().st_mtime_ns > first
+    def never(*_):
+        raise RuntimeError("a chunk that is kept is not run again")
+
+    monkeypatch.setattr(one_dimensional_world, "_chunk", never)
+    assert run(tmp_path, "--worlds", "250") == summary
+    with pytest.raises(RuntimeError, match="is kept"):
+        run(tmp_path, "--worlds", "250", "--seed", "1")
 
 
 @pytest.mark.usefixtures("chunks_of_100")
