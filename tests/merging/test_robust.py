@@ -203,7 +203,11 @@ def scalar_fixed_point(places, weigh):
     [
         ("dcs", {"phi": PHI}, lambda q: dcs_scale(q, PHI) ** 2),
         ("switchable", {}, lambda q: switch(q, GATE) ** 2),
-        ("max-mixture", {"null_scale": 0.1}, lambda q: max_mixture_weight(q, GATE, 0.1)),
+        (
+            "max-mixture",
+            {"null_scale": 0.1},
+            lambda q: max_mixture_weight(q, -3.0 * np.log(0.1) / 0.9, 0.1),
+        ),
         ("gnc", {}, lambda q: q <= GATE),
     ],
 )
