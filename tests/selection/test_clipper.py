@@ -9,7 +9,7 @@ import pytest
 
 from pcm_jax.errors import InputError
 from pcm_jax.selection import select_from
-from pcm_jax.selection.clipper import clipper
+from pcm_jax.selection.clipper import SUPPORT, _relaxed, clipper
 
 GATE = 6.63
 
@@ -46,13 +46,14 @@ def test_the_tighter_of_two_equal_cliques():
     assert np.flatnonzero(clipper(squared, GATE).members).tolist() == [1, 3, 5]
 
 
-def test_a_loose_large_clique_loses_to_a_tight_small_one():
-    """Affinities at 3 apart are exp(−9/4): 1 + 3 · 0.105 < 3 of three that coincide."""
+@pytest.mark.parametrize(("apart", "expected"), [(0.6, [0, 1, 2, 3]), (1.0, [4, 5, 6])])
+def test_a_loose_large_clique_against_a_tight_small_one(apart, expected):
+    """Four with affinity exp(−q²/2) have 1 + 3 exp(−q²/2), three that coincide 3: q² = 0.81."""
     squared = np.full((7, 7), 100.0)
-    squared[:4, :4] = 4.5
+    squared[:4, :4] = apart
     squared[4:, 4:] = 0.0
     np.fill_diagonal(squared, 0.0)
-    assert np.flatnonzero(clipper(squared, GATE).members).tolist() == [4, 5, 6]
+    assert np.flatnonzero(clipper(squared, GATE).members).tolist() == expected
     assert select_from(squared, GATE).tolist() == [True] * 4 + [False] * 3
 
 
@@ -63,6 +64,14 @@ def test_it_is_a_maximal_clique(seed):
     consistent = squared <= GATE
     assert consistent[np.ix_(members, members)].all()
     assert not consistent[:, members].all(axis=1)[~members].any()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_penalty_leaves_a_clique_for_the_check_to_find(seed):
+    consistent = (squared := clutter(seed, 40, 8)) <= GATE
+    affinity = np.where(consistent, np.exp(-0.5 * squared), 0.0)
+    support = (u := _relaxed(affinity, (~consistent).astype(float))) > SUPPORT * u.max()
+    assert consistent[np.ix_(support, support)].all()
 
 
 def test_it_finds_what_it_relaxes_nearly_always():
