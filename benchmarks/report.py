@@ -54,7 +54,7 @@ def _entry(metric: Metric, outcome: Outcome, before: Entry) -> Entry:
         "change": _change(metric, ratio),
         "note": note,
         "case_seconds": outcome.seconds,
-        "peak_memory_mb": outcome.peak_memory,
+        "peak_memory_mb": None if value is None else outcome.peak_memory,
         "digits": metric.digits,
     }
 
@@ -127,5 +127,17 @@ def with_results(text: str, entries: Mapping[str, Entry], machine: Entry) -> str
         f" {packages}; {machine['blas_threads']} BLAS threads;"
         f" load {machine['load_at_start']} when it started."
     )
+    spent = ", ".join(f"{subject} {s:.0f} s" for subject, s in _seconds(entries).items())
     results = table({name: {**entry, "ratio": None} for name, entry in entries.items()})
-    return f"{before}{MARKERS[0]}\n\n{described}\n\n{results}\n\n{MARKERS[1]}{after}"
+    generated = f"{described}\nRun time: {spent}.\n\n{results}"
+    return f"{before}{MARKERS[0]}\n\n{generated}\n\n{MARKERS[1]}{after}"
+
+
+def _seconds(entries: Mapping[str, Entry]) -> dict[str, float]:
+    """Run time by subject; the metrics of one case share theirs."""
+    cases = {name.rsplit("/", 1)[0]: entry["case_seconds"] for name, entry in entries.items()}
+    subjects: dict[str, float] = {}
+    for name, seconds in cases.items():
+        subject = name.split("/")[0]
+        subjects[subject] = subjects.get(subject, 0.0) + seconds
+    return subjects

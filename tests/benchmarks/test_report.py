@@ -49,7 +49,7 @@ def test_table():
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines()]
     assert lines[0] == list(report.HEAD)
     assert lines[2] == ["a/b/c", "0.512 s", "≤ 0.4 s", "**no**", "1.02 same", "2", "how"]
-    assert lines[3] == ["d", "–", "", "", "", "2", "how"]
+    assert lines[3] == ["d", "–", "", "", "", "", "how"]
     assert len({len(line) for line in text.splitlines()}) == 1
     assert "of baseline" not in report.table(entries_of(0.5))
 
@@ -59,12 +59,13 @@ def test_recorded_results_are_the_baseline_and_stand_in_the_readme(tmp_path, mon
     monkeypatch.setattr(report, "BASELINE", tmp_path / "baseline.json")
     monkeypatch.setattr(report, "README", tmp_path / "README.md")
     report.README.write_text(document)
-    entries = entries_of(0.5) | {"absent": entries_of(None)["a/b/c"]}
+    entries = entries_of(0.5) | {"a/b/absent": entries_of(None)["a/b/c"]}
     for _ in range(2):  # the second time replaces the first
         report.record(entries, MACHINE)
         text = report.README.read_text()
         assert text.count(report.table(entries)) == 1
         assert "abacus, 2 cores" in text
+        assert "Run time: a 1 s" in text
     before, after = (document.split(marker) for marker in report.MARKERS)
     assert text.startswith(before[0])
     assert text.endswith(after[1])
