@@ -41,6 +41,6 @@ CASES = [
         "files/simulated-city",
         (Metric("read", "s", figure=0.5),),
         simulated,
-        applies=lambda settings: not maps.available(CITY, settings),
+        applies=maps.stand_ins_needed,
     ),
 ]

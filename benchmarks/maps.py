@@ -22,9 +22,9 @@ FILES = {
 SIMULATED = ("simulated-city", "simulated-campus")
 
 
-def available(name: str, settings: Settings) -> bool:
-    """Whether a file of `FILES` is there."""
-    return (settings.data / FILES[name]).exists()
+def stand_ins_needed(settings: Settings) -> bool:
+    """Whether `SIMULATED` maps stand in for public ones: where City10000 is absent."""
+    return not (settings.data / FILES["city10000"]).exists()
 
 
 def required(relative: str, settings: Settings) -> Path:

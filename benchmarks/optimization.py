@@ -139,13 +139,8 @@ def _solve_case(name: str) -> Case:
         Metric("blocks_over_gtsam", "×", figure=2.0),
         Metric("cholmod_over_gtsam", "×", figure=CHOLMOD_FIGURES.get(name)),
     )
-    applies = functools.partial(_needed, name) if name in maps.SIMULATED else None
     case = Case(f"optimization/{name}", metrics, functools.partial(solve, name))
-    return case._replace(applies=applies) if applies else case
-
-
-def _needed(name: str, settings: Settings) -> bool:
-    return not any(maps.available(each, settings) for each in maps.FILES)
+    return case._replace(applies=maps.stand_ins_needed) if name in maps.SIMULATED else case
 
 
 CASES = [
