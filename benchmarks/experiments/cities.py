@@ -14,7 +14,8 @@ from pcm_jax.simulation import simulate_city
 NOISE = np.diag([0.02**2, 0.02**2, 0.01**2])
 """Covariance of every measurement in City10000, measured against its noise-free edges."""
 
-_POOL = 200  # true closures of a simulated city, of which a version takes 15
+_POOL = 60  # true closures of a simulated city, of which a version takes 15
+_BLOCKS_SQUARED_PER_POSE = 0.2  # 20 x 20 blocks for 2,000 poses
 
 
 class City(NamedTuple):
@@ -55,14 +56,14 @@ def city_of_file(data: Path, truth: Path, poses: slice, information: str) -> Cit
 
 
 def simulated_city(poses: int, seed: int, information: str) -> City:
-    """A simulated city of so many poses in all, with City10000's statistics.
+    """A simulated city of so many poses in all, about as sparse as the portion of City10000.
 
     Its calibrated information is diag(2500, 2500, 10000); "as-written" takes the square root of
     it, as if read from City10000's file.
     """
-    world = simulate_city(
-        seed=seed, poses=poses // 2, inliers=_POOL, aliased_groups=0, random=0, random_range=None
-    )
+    blocks = max(2, round(np.sqrt(_BLOCKS_SQUARED_PER_POSE * poses)))
+    counts = {"inliers": _POOL, "aliased_groups": 0, "random": 0}
+    world = simulate_city(seed=seed, poses=poses // 2, blocks=blocks, **counts)
     graph = world.graph
     if information == "as-written":
         maps = tuple(_with_roots(one) for one in graph.maps)
