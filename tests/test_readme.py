@@ -91,15 +91,15 @@ def test_python_recipes(names):
     np.testing.assert_allclose(by_gtsam, names["squared"], rtol=1e-3)  # its gauge is a prior
 
 
-@pytest.mark.parametrize("line", COMMANDS)
-def test_commands(line):
-    """In the page's order: later ones use what earlier ones wrote."""
-    words = shlex.split(line)[1:]
-    assert main(words) == 0
-    options = vars(parser().parse_args(words))
-    for name in ("output", "report", "plot"):
-        if options.get(name):
-            assert options[name].exists()
+def test_commands():
+    """In the page's order, and so in one test: later ones use what earlier ones wrote."""
+    for line in COMMANDS:
+        words = shlex.split(line)[1:]
+        assert main(words) == 0, line
+        options = vars(parser().parse_args(words))
+        for name in ("output", "report", "plot"):
+            if options.get(name):
+                assert options[name].exists(), line
 
 
 def test_two_setups_one_for_the_demo_and_one_for_the_tests():

@@ -45,7 +45,7 @@ def with_explicit_anchors(graph, accepted, start):
     d, group = graph.tangent_dim, graph.group
     sizes = [m.num_poses for m in graph.maps]
     offset = np.cumsum([0, *sizes])
-    edges = [jax.tree.map(jnp.asarray, padded_edges(*host_arrays(m))) for m in graph.maps]
+    edges = [jax.tree.map(jnp.asarray, padded_edges(*host_arrays(m), size=256)) for m in graph.maps]
     kept = graph.closures[accepted]
     whitening = np.linalg.cholesky(np.asarray(kept.information)).transpose(0, 2, 1)
     robot_a, robot_b = np.asarray(kept.robot_a), np.asarray(kept.robot_b)
@@ -163,7 +163,7 @@ def test_anchor_covariance_is_that_of_the_first_pose(world, result):
     n, d = joint.num_poses, joint.tangent_dim
     from pcm_jax.mapping.linearization import linearize
 
-    edges = padded_edges(*host_arrays(joint))
+    edges = padded_edges(*host_arrays(joint), size=256)
     _, by_tail, by_head = map(np.asarray, jax.jit(linearize)(joint.poses, edges))
     jacobian = np.zeros((joint.num_edges, d, n, d))
     for k, (i, j) in enumerate(zip(np.asarray(joint.tail), np.asarray(joint.head), strict=True)):
