@@ -192,6 +192,18 @@ def test_three_robots_make_one_group():
     np.testing.assert_array_equal(result.inliers, world.inliers)
 
 
+def test_anchors_are_chained_in_either_direction():
+    """Robots a and b are tied only through c, so that b is placed against its own closures."""
+    world = three_robots()
+    robot_a, robot_b = np.asarray(world.graph.closures.robot_a), world.graph.closures.robot_b
+    accepted = world.inliers & ((robot_a == 2) | (np.asarray(robot_b) == 2))
+    maps = tuple(optimize(m).graph for m in world.graph.maps)
+    graph = MultiRobotGraph(maps, world.graph.closures)
+    start = aligned_anchors(graph, accepted, ((0, 1, 2),))
+    found = merge(graph, inliers=accepted, optimized=True).anchors
+    np.testing.assert_allclose(lie.as_matrix(start), lie.as_matrix(found), atol=0.3)
+
+
 def test_robots_that_nothing_connects_stay_apart():
     world = three_robots()
     closures = world.graph.closures
