@@ -45,7 +45,7 @@ def robots(graph: MultiRobotGraph) -> str:
 
 def _robot(one: PoseGraph) -> list[object]:
     odometry = int(_is_odometry(one).sum())
-    places = np.asarray(lie.as_matrix(lie.as_numpy(one.poses)))[:, :-1, -1]
+    places = lie.translation(lie.as_numpy(one.poses))
     length = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
     extent = " x ".join(f"{side:.4g}" for side in np.ptp(places, axis=0))
     ids = symbols.indices_of(one.ids)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
+from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.evaluation import plot_style as style
-from pcm_jax.evaluation.metrics import aligned, on_host, positions
+from pcm_jax.evaluation.metrics import aligned, on_host
 from pcm_jax.evaluation.plot_style import LineStyle, axes_or_new, legend_below
 
 Mask = Bool[np.ndarray, " m"]
@@ -51,7 +52,7 @@ def plot_trajectories_with_closures(
         InputError: masks of another length than the closures, or an axis that maps do not have.
     """
     ax = axes_or_new(ax)
-    places = [_projected(positions(on_host(poses)), projection) for poses in maps]
+    places = [_projected(lie.translation(on_host(poses)), projection) for poses in maps]
     for k, (path, name) in enumerate(zip(places, names or _names(maps), strict=True)):
         ax.plot(*path.T, label=f"robot {name}", **style.robot_style(k, len(places)))
     if closures is not None:
@@ -117,7 +118,7 @@ def plot_comparison(
         )
         ax.set_title(title, fontsize="x-large", fontweight="bold")
         ax.set_xlabel("\n".join([ax.get_xlabel(), *_counts(accepted, inliers)]), linespacing=1.4)
-    _same_view(chosen, [positions(on_host(poses)) for poses in reference])
+    _same_view(chosen, [lie.translation(on_host(poses)) for poses in reference])
     _shared_legend(chosen)
     return chosen
 

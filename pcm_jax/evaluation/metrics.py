@@ -148,12 +148,6 @@ def normalized_chi2(residual: Any, rows: int, columns: int) -> Any:
     return residual / (rows - columns) if rows > columns else residual * np.nan
 
 
-def positions(poses: Any) -> Float[Array, "*batch s"]:
-    """Positions `[..., 2]` or `[..., 3]` of poses, metres: the last of their parameters."""
-    space = lie.module_of(lie.group_of(poses)).MATRIX_DIM - 1
-    return lie.parameters(poses)[..., -space:]
-
-
 def on_host(poses: Any) -> Any:
     """Poses (of a `PoseGraph` too) as a NumPy-backed transform; tracers as they are."""
     transform = getattr(poses, "poses", poses)
@@ -179,7 +173,9 @@ def _matched(estimate: Any, truth: Any) -> tuple[list[Any], list[Any]]:
         [on_host(poses) for poses in (side if isinstance(side, list | tuple) else [side])]
         for side in (estimate, truth)
     ]
-    kinds = [[(lie.group_of(p).__name__, positions(p).shape[0]) for p in side] for side in sides]
+    kinds = [
+        [(lie.group_of(p).__name__, lie.translation(p).shape[0]) for p in side] for side in sides
+    ]
     if kinds[0] != kinds[1] or not kinds[0] or any(count == 0 for _, count in kinds[0]):
         raise InputError(f"estimate: {kinds[0]} given, expected {kinds[1]} like the truth")
     return sides[0], sides[1]
@@ -191,7 +187,7 @@ def _steps(poses: Any, delta: int) -> Any:
 
 def _error_of(error: Any) -> PoseError:
     """Both means over a batch `[n]` of error transforms `true⁻¹ estimate`."""
-    shift = positions(error)
+    shift = lie.translation(error)
     turn = lie.log(error)[..., shift.shape[-1] :]
     xp = namespace(shift)
     squared_turn = xp.sum(turn**2, axis=-1)
@@ -204,7 +200,7 @@ def _first_pose(estimate: Any, truth: Any) -> Any:
 
 def _umeyama(estimate: Any, truth: Any) -> Any:
     """The motion of least squared distances between positions (Umeyama 1991, eqs. 40-43, c = 1)."""
-    source, target = positions(estimate), positions(truth)
+    source, target = lie.translation(estimate), lie.translation(truth)
     xp = namespace(source, target)
     center, goal = xp.mean(source, axis=0), xp.mean(target, axis=0)
     left, _, right = xp.linalg.svd((target - goal).T @ (source - center))

@@ -37,6 +37,7 @@ from pcm_jax.lie.transforms import (
     stack,
     take,
     tangent_dim,
+    translation,
 )
 
 __all__ = [
@@ -68,4 +69,5 @@ __all__ = [
     "stack",
     "take",
     "tangent_dim",
+    "translation",
 ]

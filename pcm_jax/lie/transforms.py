@@ -183,6 +183,12 @@ def normalize(transform: Transform) -> Transform:
     return from_components(group, module_of(group).normalize(components(transform)))
 
 
+def translation(transform: jaxlie.MatrixLieGroup) -> Any:
+    """Translations `[..., s]`, for poses their positions, metres: the last of the parameters."""
+    space = module_of(group_of(transform)).MATRIX_DIM - 1
+    return parameters(transform)[..., -space:]
+
+
 @_jit_unless_numpy
 def as_matrix(transform: jaxlie.MatrixLieGroup) -> Float[Array, "*batch s s"]:
     """Homogeneous matrices."""

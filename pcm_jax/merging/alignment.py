@@ -57,10 +57,11 @@ def _relative_anchor(graph: MultiRobotGraph, a: int, b: int, closures: Any) -> A
     placements = lie.compose(measured, lie.inverse(from_b))
     compared = lie.take(placements, slice(0, MOST_COMPARED))
     # Distances between the images of map b's touched poses, not between distant origins.
-    centre = np.asarray(lie.as_matrix(from_b))[:, :-1, -1].mean(axis=0)
+    touched = lie.translation(from_b)
+    centre = touched.mean(axis=0)
     matrices = np.asarray(lie.as_matrix(compared))
     where = matrices[:, :-1, :-1] @ centre + matrices[:, :-1, -1]
-    extent = 1.0 + np.linalg.norm(np.ptp(np.asarray(lie.as_matrix(from_b))[:, :-1, -1], axis=0))
+    extent = 1.0 + np.linalg.norm(np.ptp(touched, axis=0))
     turned = extent * matrices[:, :-1, :-1].reshape(len(matrices), -1)
     features = np.concatenate([where, turned], axis=1)
     distance = np.linalg.norm(features[:, None] - features[None], axis=2)

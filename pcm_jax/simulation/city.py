@@ -15,16 +15,13 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
-from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.simulation.measurements import diagonal_covariance, positions, revisits
+from pcm_jax.simulation.measurements import diagonal_covariance
 from pcm_jax.simulation.streets import block_poses, drive
 from pcm_jax.simulation.world import (
     SimulatedWorld,
-    add_clutter,
-    noisy_map,
+    drive_and_measure,
     require_at_least,
     require_positive,
-    true_closures,
 )
 
 _BLOCK = 5  # m between streets, and steps of 1 m between crossings
@@ -83,31 +80,19 @@ def simulate_city(
     generator = np.random.default_rng(seed)
     truth = [_street_poses(generator, poses, blocks) for _ in range(robots)]
     covariance = diagonal_covariance(jaxlie.SE2, sigma_translation, sigma_rotation)
-    maps = [
-        noisy_map(
-            generator,
-            path,
-            revisits(
-                generator, positions(path), spot=_SAME_SPOT, reach=reach, most=_LOOPS_PER_RETURN
-            ),
-            odometry=covariance,
-            closures=covariance,
-            name=name,
-        )
-        for path, name in zip(truth, ascii_lowercase, strict=False)
-    ]
-    closures = true_closures(generator, truth, count=inliers, reach=reach, covariance=covariance)
-    return add_clutter(
-        MultiRobotGraph(tuple(maps), closures),
+    return drive_and_measure(
+        generator,
         truth,
-        seed=generator,
-        inliers=None,
+        spot=_SAME_SPOT,
+        loops_per_return=_LOOPS_PER_RETURN,
+        odometry=covariance,
+        closure=covariance,
+        inliers=inliers,
+        reach=reach,
         aliased_groups=aliased_groups,
         aliased_size=aliased_size,
         random=random,
         random_range=random_range,
-        reach=reach,
-        information=np.linalg.inv(covariance),
     )
 
 

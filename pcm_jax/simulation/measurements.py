@@ -25,11 +25,6 @@ def space_dim(group: Group[Any]) -> int:
     return lie.module_of(group).MATRIX_DIM - 1
 
 
-def positions(poses: Any) -> Float[np.ndarray, "*batch s"]:
-    """Positions `[..., 2]` or `[..., 3]` of NumPy-backed poses: the last of their parameters."""
-    return np.asarray(lie.parameters(poses))[..., -space_dim(lie.group_of(poses)) :]
-
-
 def diagonal_covariance(
     group: Group[Any], sigma_translation: float, sigma_rotation: float
 ) -> Float[np.ndarray, "d d"]:

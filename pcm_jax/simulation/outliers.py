@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
-from pcm_jax.simulation.measurements import measure, positions, space_dim
+from pcm_jax.simulation.measurements import measure, space_dim
 
 RANDOM_LABEL = -1
 # Places that are mistaken for each other lie at least this fraction of the maps' diagonal apart.
@@ -107,7 +107,9 @@ def aliased_closures(
     from scipy.spatial import KDTree
 
     moved = lie.compose(_wrong_alignment(generator, truth_a, truth_b, reach), truth_b)
-    distance, nearest = map(np.asarray, KDTree(positions(moved)).query(positions(truth_a)))
+    distance, nearest = map(
+        np.asarray, KDTree(lie.translation(moved)).query(lie.translation(truth_a))
+    )
     if size > len(nearest):
         raise InputError(
             f"aliased_size: {size} asked for, expected at most one for each of the "
@@ -129,9 +131,9 @@ def _wrong_alignment(
     The shift s, of up to `reach` along every axis, keeps W off the grid of streets, where two
     independent draws could coincide.
     """
-    i = generator.integers(len(positions(truth_a)), size=_ALIAS_DRAWS)
-    k = generator.integers(len(positions(truth_b)), size=_ALIAS_DRAWS)
-    apart = np.linalg.norm(positions(truth_a)[i] - positions(truth_b)[k], axis=1)
+    i = generator.integers(len(lie.translation(truth_a)), size=_ALIAS_DRAWS)
+    k = generator.integers(len(lie.translation(truth_b)), size=_ALIAS_DRAWS)
+    apart = np.linalg.norm(lie.translation(truth_a)[i] - lie.translation(truth_b)[k], axis=1)
     low, high = _bounding_box(truth_a, truth_b)
     far = apart >= _ALIAS_SEPARATION * np.linalg.norm(high - low)
     drawn = np.argmax(far) if far.any() else np.argmax(apart)
@@ -143,7 +145,7 @@ def _wrong_alignment(
 
 
 def _bounding_box(truth_a: Any, truth_b: Any) -> tuple[np.ndarray, np.ndarray]:
-    places = np.concatenate([positions(truth_a), positions(truth_b)])
+    places = np.concatenate([lie.translation(truth_a), lie.translation(truth_b)])
     return places.min(axis=0), places.max(axis=0)
 
 
@@ -164,8 +166,8 @@ def random_closures(
         count: how many.
         largest_range: metres between the two poses; None: anywhere in the bounding box.
     """
-    pose_a = generator.integers(len(positions(truth_a)), size=count)
-    pose_b = generator.integers(len(positions(truth_b)), size=count)
+    pose_a = generator.integers(len(lie.translation(truth_a)), size=count)
+    pose_b = generator.integers(len(lie.translation(truth_b)), size=count)
     group, space = lie.group_of(truth_a), space_dim(lie.group_of(truth_a))
     rotation = _on_sphere(generator, count, lie.module_of(group).PARAMETERS_DIM - space)
     if largest_range is None:

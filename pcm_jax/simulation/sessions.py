@@ -9,7 +9,6 @@ per 100 m as NCLT's own odometry does. Registrations are as good as GICP's on Du
 from __future__ import annotations
 
 from collections.abc import Callable
-from string import ascii_lowercase
 from typing import Any
 
 import jaxlie
@@ -17,16 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax import lie
-from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.simulation.measurements import diagonal_covariance, positions, revisits
+from pcm_jax.simulation.measurements import diagonal_covariance
 from pcm_jax.simulation.streets import drive
 from pcm_jax.simulation.world import (
     SimulatedWorld,
-    add_clutter,
-    noisy_map,
+    drive_and_measure,
     require_at_least,
     require_positive,
-    true_closures,
 )
 
 _BLOCK = 60.0  # m between crossings
@@ -95,24 +91,19 @@ def simulate_sessions(
     truth = _campus_poses(generator, poses, sessions)
     odometry = diagonal_covariance(jaxlie.SE3, sigma_translation, sigma_rotation)
     closure = diagonal_covariance(jaxlie.SE3, closure_sigma_translation, closure_sigma_rotation)
-    maps = []
-    for path, name in zip(truth, ascii_lowercase, strict=False):
-        loops = revisits(generator, positions(path), spot=_SAME_SPOT, reach=reach, most=1)
-        maps.append(
-            noisy_map(generator, path, loops, odometry=odometry, closures=closure, name=name)
-        )
-    closures = true_closures(generator, truth, count=inliers, reach=reach, covariance=closure)
-    return add_clutter(
-        MultiRobotGraph(tuple(maps), closures),
+    return drive_and_measure(
+        generator,
         truth,
-        seed=generator,
-        inliers=None,
+        spot=_SAME_SPOT,
+        loops_per_return=1,
+        odometry=odometry,
+        closure=closure,
+        inliers=inliers,
+        reach=reach,
         aliased_groups=aliased_groups,
         aliased_size=aliased_size,
         random=random,
         random_range=random_range,
-        reach=reach,
-        information=np.linalg.inv(closure),
     )
 
 

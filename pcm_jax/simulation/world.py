@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
-from pcm_jax.simulation.measurements import measure, near_pairs, positions
+from pcm_jax.graph.multi_robot import letter_names
+from pcm_jax.simulation.measurements import measure, near_pairs, revisits
 from pcm_jax.simulation.outliers import false_closures
 
 
@@ -105,6 +106,52 @@ def add_clutter(
     return SimulatedWorld(cluttered, label[order] == 0, label[order], truth)
 
 
+def drive_and_measure(
+    generator: np.random.Generator,
+    truth: Sequence[Any],
+    *,
+    spot: float,
+    loops_per_return: int,
+    odometry: Float[np.ndarray, "d d"],
+    closure: Float[np.ndarray, "d d"],
+    inliers: int,
+    reach: float,
+    **clutter: Any,
+) -> SimulatedWorld:
+    """The world of some true paths: noisy maps, true closures between them, and clutter.
+
+    Args:
+        generator: source of randomness.
+        truth: true poses of each robot in one common frame, NumPy-backed Lie `[n]`.
+        spot: metres within which a robot is back at a place (see `revisits`).
+        loops_per_return: loop closures that a robot makes there at most.
+        odometry: covariance of an odometry step.
+        closure: covariance of a closure, inside a map or between two.
+        inliers: true closures between each two robots.
+        reach: metres between two poses that can measure each other.
+        **clutter: `aliased_groups`, `aliased_size`, `random` and `random_range` of `add_clutter`.
+
+    Raises:
+        InputError: robots that pass each other too seldom.
+    """
+    maps = []
+    for path, name in zip(truth, letter_names(), strict=False):
+        places = lie.translation(path)
+        loops = revisits(generator, places, spot=spot, reach=reach, most=loops_per_return)
+        noise = {"odometry": odometry, "closures": closure}
+        maps.append(noisy_map(generator, path, loops, **noise, name=name))
+    closures = true_closures(generator, truth, count=inliers, reach=reach, covariance=closure)
+    return add_clutter(
+        MultiRobotGraph(tuple(maps), closures),
+        truth,
+        seed=generator,
+        inliers=None,
+        reach=reach,
+        information=np.linalg.inv(closure),
+        **clutter,
+    )
+
+
 def true_closures(
     generator: np.random.Generator,
     truth: Sequence[Any],
@@ -120,7 +167,7 @@ def true_closures(
     """
     parts = [LoopClosures.empty(lie.group_of(truth[0]))]
     for a, b in combinations(range(len(truth)), 2):
-        pairs = near_pairs(positions(truth[a]), positions(truth[b]), reach)
+        pairs = near_pairs(lie.translation(truth[a]), lie.translation(truth[b]), reach)
         if len(pairs) < count:
             raise InputError(
                 f"inliers: {count} asked for, but robots {a} and {b} have only {len(pairs)} pairs "
