@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from pcm_jax.graph import LoopClosures
 
@@ -29,3 +29,10 @@ def robot_groups(
     count, label = connected_components(links, directed=False)
     groups = [tuple(np.flatnonzero(label == k).tolist()) for k in range(count)]
     return tuple(sorted(groups))
+
+
+def closures_within(
+    members: tuple[int, ...], closures: LoopClosures, accepted: Bool[np.ndarray, " m"]
+) -> Int[np.ndarray, " k"]:
+    """Indices of the accepted closures between the robots of one of `robot_groups`."""
+    return np.flatnonzero(accepted & np.isin(np.asarray(closures.robot_a), members))

@@ -52,22 +52,18 @@ def joint_graph(
         lie.compose(lie.take(anchors, np.full(size, robot)), lie.as_numpy(one.poses))
         for robot, one, size in zip(members, maps, sizes, strict=True)
     ]
-    starts = [offset[robot] for robot in members]
+    placed = [(one, offset[robot]) for robot, one in zip(members, maps, strict=True)]
     edges = [one.measurement for one in maps] + [used.measurement]
     return PoseGraph.from_checked(
         poses=lie.concatenate(poses),
-        tail=np.concatenate([*(np.asarray(m.tail) + o for m, o in _zip(maps, starts)), ends_a]),
-        head=np.concatenate([*(np.asarray(m.head) + o for m, o in _zip(maps, starts)), ends_b]),
+        tail=np.concatenate([*(np.asarray(m.tail) + start for m, start in placed), ends_a]),
+        head=np.concatenate([*(np.asarray(m.head) + start for m, start in placed), ends_b]),
         measurement=lie.concatenate([lie.as_numpy(edge) for edge in edges]),
         information=np.concatenate([np.asarray(m.information) for m in [*maps, used]]),
         ids=np.arange(sum(sizes)),
         name=" + ".join(one.name for one in maps),
         source=np.concatenate([m.source for m in [*maps, used]]),
     )
-
-
-def _zip(maps: list[PoseGraph], starts: list[Any]) -> Any:
-    return zip(maps, starts, strict=True)
 
 
 def solve_joint(joint: PoseGraph, closures: int, *, method: str, engine: str) -> Solution:

@@ -15,7 +15,7 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.compile_time import CompileClock
-from pcm_jax.merging.groups import robot_groups
+from pcm_jax.merging.groups import closures_within, robot_groups
 from pcm_jax.merging.joint import joint_graph, solve_joint
 from pcm_jax.merging.result import MergeResult, MergeSolution
 from pcm_jax.merging.robust import RobustSolution, solve_robustly
@@ -192,9 +192,8 @@ def _solve(
     start = aligned_anchors(graph, accepted, groups)
     poses: list[Any] = [None] * len(graph.maps)
     solutions, rows, columns = [], 0, 0
-    robot_of = np.asarray(graph.closures.robot_a)
     for members in groups:
-        used = np.flatnonzero(accepted & np.isin(robot_of, members))
+        used = closures_within(members, graph.closures, accepted)
         joint = joint_graph(graph, members, used, start)
         solution = solve_joint(joint, len(used), method=solver, engine=engine)
         solutions.append(solution)

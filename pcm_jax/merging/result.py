@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from pcm_jax import lie
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import joint_marginal_covariance
+from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.precision import in_float64
@@ -187,18 +188,13 @@ def _anchor_covariance(result: MergeResult) -> np.ndarray:
     covariance = np.zeros((len(graph.maps), graph.tangent_dim, graph.tangent_dim))
     here = lie.identity(lie.group_of(lie.as_numpy(graph.maps[0].poses)), (len(graph.maps),))
     for members in result.groups:
-        used = [
-            index
-            for index in np.flatnonzero(result.inliers)
-            if int(graph.closures.robot_a[index]) in members
-        ]
-        joint = joint_graph(graph, members, np.array(used, np.int64), here)
-        start = 0
-        for robot in members:
-            if start:
-                own = joint_marginal_covariance(joint, np.array([start]))
-                first = lie.take(lie.as_numpy(result.maps[robot].poses), 0)
-                transport = np.asarray(lie.adjoint(first))
-                covariance[robot] = transport @ own @ transport.T
-            start += graph.maps[robot].num_poses
+        used = closures_within(members, graph.closures, result.inliers)
+        joint = joint_graph(graph, members, used, here)
+        sizes = [graph.maps[robot].num_poses for robot in members]
+        first = np.cumsum(sizes) - sizes
+        d = graph.tangent_dim
+        blocks = joint_marginal_covariance(joint, first).reshape(len(members), d, len(members), d)
+        for k, robot in enumerate(members):
+            transport = np.asarray(lie.adjoint(lie.take(lie.as_numpy(result.maps[robot].poses), 0)))
+            covariance[robot] = transport @ blocks[k, :, k] @ transport.T
     return covariance
