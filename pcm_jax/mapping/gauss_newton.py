@@ -175,9 +175,9 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
         )
         terminate = settled & ~state.first_step
         y, f_info = _choose(accept, (state.candidate, f_eval), (y, state.f_info))
-        descent_state, delta, descent_result = jax.lax.cond(
+        descent_state, delta = jax.lax.cond(
             terminate,
-            lambda: (state.descent_state, state.delta, optx.RESULTS.successful),
+            lambda: (state.descent_state, state.delta),
             lambda: self._descend(accept, f_info, step_size, state.descent_state),
         )
         failed = accept & ~jnp.isfinite(cost)
@@ -185,7 +185,6 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
         out_of_steps = ~terminate & (state.steps + 1 >= args.max_steps)
         gave_up = optx.RESULTS.nonlinear_max_steps_reached
         result = optx.RESULTS.where(out_of_steps & ~failed, gave_up, result)
-        del descent_result  # a step that was not found is NaN, and judged as such
         return (
             y,
             _State(
@@ -206,14 +205,16 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
 
     def _descend(
         self, accept: Array, f_info: Any, step_size: Array, descent_state: Any
-    ) -> tuple[Any, Array, optx.RESULTS]:
+    ) -> tuple[Any, Array]:
         descent_state = jax.lax.cond(
             accept,
             lambda old: self.descent.query(old, f_info, old),
             lambda old: old,
             descent_state,
         )
-        return descent_state, *self.descent.step(step_size, descent_state)
+        # A step that was not found is NaN, and judged as such: its status says no more.
+        delta, _ = self.descent.step(step_size, descent_state)
+        return descent_state, delta
 
     def terminate(
         self, fn: Any, y: Any, args: Problem, options: Any, state: _State, tags: Any
