@@ -3,11 +3,18 @@
 from pathlib import Path
 
 import jax
+import jaxlie
 import pytest
 
 jax.config.update("jax_enable_x64", True)
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(params=[jaxlie.SE2, jaxlie.SE3], ids=["SE2", "SE3"])
+def group(request: pytest.FixtureRequest) -> type:
+    """Both groups."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jaxlie
 import numpy as np
 import pytest
 
@@ -16,11 +15,6 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(11)
-
-
-@pytest.fixture(params=[jaxlie.SE2, jaxlie.SE3], ids=["SE2", "SE3"])
-def group(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 @pytest.fixture

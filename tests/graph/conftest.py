@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any
 
-import jaxlie
 import numpy as np
 import pytest
 
@@ -20,11 +19,6 @@ def definite(rng: np.random.Generator, count: int, d: int) -> np.ndarray:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(7)
-
-
-@pytest.fixture(params=[jaxlie.SE2, jaxlie.SE3], ids=["SE2", "SE3"])
-def group(request: pytest.FixtureRequest) -> Any:
-    return request.param
 
 
 @pytest.fixture

@@ -41,9 +41,3 @@ def random_map(
 def make_map() -> Callable[..., PoseGraph]:
     """The function `random_map`."""
     return random_map
-
-
-@pytest.fixture(params=[jaxlie.SE2, jaxlie.SE3], ids=["SE2", "SE3"])
-def group(request: pytest.FixtureRequest) -> type:
-    """Both groups."""
-    return request.param
