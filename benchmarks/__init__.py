@@ -1,13 +1,15 @@
-"""The figures that this package promises, measured, each beside what it is compared with.
+"""What the package promises, and what the paper reports, measured.
 
-    python -m benchmarks [--quick] [--only NAME ...] [--data DIR] --out DIR
+`python -m benchmarks` runs the suite of promised figures (`benchmarks.suite`). Every experiment of
+the paper, and three beyond it, is a command of its own:
 
-harness      cases and metrics; runs each case in a process of its own, resumes after a kill
-measure      time (compilation apart), memory, the machine
-report       summary.json, the table, the committed baseline, the table in this folder's README
-maps         the pose graphs measured on: public files, or simulated ones where those are absent
-gtsam_peer   the same graphs, solves and marginals by GTSAM
+one_dimensional_world   Figs 2 and 3: every method against enumeration
+city                    Figs 4 and 5, Table I: City10000 with clutter
+sessions                Figs 6 and 7, Table II: two sessions of one robot in space
+place_recognition       real place recognition, and closures inside one robot's map
+covariances             what the right covariance of the maps is worth
 
-One module per subject, each with a list `CASES`: optimization, marginals, distances, cliques,
-calibration, files, end_to_end.
+experiments             what these share: methods, runs kept on disk, options of the command line
+results                 what they wrote: the numbers that documents cite
+pictures                the README's picture
 """

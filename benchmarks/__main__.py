@@ -9,8 +9,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks import report
-from benchmarks.harness import DATA, Case, Settings, chosen, run, write_json
+from benchmarks.suite import report
+from benchmarks.suite.harness import DATA, Case, Settings, chosen, run, write_json
 
 SUBJECTS = (
     "optimization",
@@ -25,7 +25,7 @@ SUBJECTS = (
 
 def all_cases() -> list[Case]:
     """The cases of every subject."""
-    modules = (importlib.import_module(f"benchmarks.{subject}") for subject in SUBJECTS)
+    modules = (importlib.import_module(f"benchmarks.suite.{subject}") for subject in SUBJECTS)
     return [case for module in modules for case in module.CASES]
 
 

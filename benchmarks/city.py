@@ -32,7 +32,7 @@ import numpy as np
 
 from benchmarks.experiments.cities import NOISE, City, city_of_file, simulated_city
 from benchmarks.experiments.record import PACKAGE, Progress, Steps, write_csv
-from benchmarks.harness import DATA, write_json
+from benchmarks.suite.harness import DATA, write_json
 from pcm_jax import (
     InputWarning,
     MultiRobotGraph,

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from benchmarks.experiments.record import PACKAGE, Progress, Steps, write_csv
-from benchmarks.harness import write_json
+from benchmarks.suite.harness import write_json
 from pcm_jax.consistency import chi2_gate, consistency_graph
 from pcm_jax.precision import in_float64
 from pcm_jax.simulation import simulate_one_dimensional

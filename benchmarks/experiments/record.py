@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import write_json
+from benchmarks.suite.harness import write_json
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pcm_jax"
 

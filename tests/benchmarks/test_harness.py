@@ -11,9 +11,9 @@ import pytest
 import tiny_cases
 from tiny_cases import LOG, METRICS, case
 
-from benchmarks import harness, report
-from benchmarks.harness import Measured, Metric, Settings, chosen, run
-from benchmarks.measure import Patience, in_words, machine, peak_memory, race
+from benchmarks.suite import harness, report
+from benchmarks.suite.harness import Measured, Metric, Settings, chosen, run
+from benchmarks.suite.measure import Patience, in_words, machine, peak_memory, race
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from benchmarks import report
-from benchmarks.harness import Case, Measured, Metric, Outcome
+from benchmarks.suite import report
+from benchmarks.suite.harness import Case, Measured, Metric, Outcome
 
 MACHINE = {
     "processor": "abacus",

@@ -7,10 +7,10 @@ import jaxlie
 import numpy as np
 import pytest
 
-from benchmarks import gtsam_peer, maps
 from benchmarks.__main__ import SUBJECTS, all_cases, main
-from benchmarks.harness import Settings, chosen
-from benchmarks.random_worlds import moved, random_closures, random_map
+from benchmarks.suite import gtsam_peer, maps
+from benchmarks.suite.harness import Settings, chosen
+from benchmarks.suite.random_worlds import moved, random_closures, random_map
 from pcm_jax import lie
 
 

@@ -8,7 +8,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.harness import ENVIRONMENT, Case, Measured, Metric, NotMeasuredError, Settings, run
+from benchmarks.suite.harness import (
+    ENVIRONMENT,
+    Case,
+    Measured,
+    Metric,
+    NotMeasuredError,
+    Settings,
+    run,
+)
 
 LOG = "log"
 KILLED = "killed"

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import gtsam_peer, maps
-from benchmarks.harness import Case, Measured, Metric, NotMeasuredError, Settings
-from benchmarks.measure import Timing, against, in_words, race, seconds_of, timing_of
+from benchmarks.suite import gtsam_peer, maps
+from benchmarks.suite.harness import Case, Measured, Metric, NotMeasuredError, Settings
+from benchmarks.suite.measure import Timing, against, in_words, race, seconds_of, timing_of
 from pcm_jax import InputError, PoseGraph, lie, optimize
 from pcm_jax.mapping.assembly import plan_for
 from pcm_jax.mapping.initialization import chordal_poses

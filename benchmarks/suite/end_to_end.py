@@ -9,9 +9,9 @@ import subprocess
 import sys
 import tempfile
 
-from benchmarks import maps
-from benchmarks.harness import ENVIRONMENT, Case, Measured, Metric, Settings
-from benchmarks.measure import alone, seconds_of, timing_of
+from benchmarks.suite import maps
+from benchmarks.suite.harness import ENVIRONMENT, Case, Measured, Metric, Settings
+from benchmarks.suite.measure import alone, seconds_of, timing_of
 from pcm_jax import merge, select
 from pcm_jax.simulation import simulate_city, simulate_sessions
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from benchmarks import maps
-from benchmarks.harness import Case, Measured, Metric, Settings
-from benchmarks.measure import alone, seconds_of, timing_of
+from benchmarks.suite import maps
+from benchmarks.suite.harness import Case, Measured, Metric, Settings
+from benchmarks.suite.measure import alone, seconds_of, timing_of
 from pcm_jax import MultiRobotGraph, read_graph, write_g2o
 from pcm_jax.graph import LoopClosures
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-from benchmarks.harness import NotMeasuredError, Settings
+from benchmarks.suite.harness import NotMeasuredError, Settings
 from pcm_jax import InputWarning, MultiRobotGraph, PoseGraph, read_graph
 from pcm_jax.simulation import simulate_city, simulate_sessions
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from benchmarks.harness import NotMeasuredError
+from benchmarks.suite.harness import NotMeasuredError
 from pcm_jax import PoseGraph, lie
 
 try:

@@ -14,9 +14,9 @@ import jax
 import jaxlie
 import numpy as np
 
-from benchmarks.harness import Case, Measured, Metric, Settings
-from benchmarks.measure import Call, alone, in_words, race, seconds_of
-from benchmarks.random_worlds import moved, random_closures, random_map
+from benchmarks.suite.harness import Case, Measured, Metric, Settings
+from benchmarks.suite.measure import Call, alone, in_words, race, seconds_of
+from benchmarks.suite.random_worlds import moved, random_closures, random_map
 from pcm_jax import (
     ConsistencyProblem,
     PoseGraph,

@@ -15,9 +15,9 @@ import functools
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks import gtsam_peer, maps
-from benchmarks.harness import Case, Measured, Metric, NotMeasuredError, Settings
-from benchmarks.measure import against, in_words, race, seconds_of, timing_of
+from benchmarks.suite import gtsam_peer, maps
+from benchmarks.suite.harness import Case, Measured, Metric, NotMeasuredError, Settings
+from benchmarks.suite.measure import against, in_words, race, seconds_of, timing_of
 from pcm_jax import PoseGraph, joint_marginal_covariance, optimize, split
 
 HALVES = ("a", "b")

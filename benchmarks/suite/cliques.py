@@ -9,8 +9,8 @@ import networkx as nx
 import numpy as np
 from jaxtyping import Bool
 
-from benchmarks.harness import Case, Measured, Metric, Settings
-from benchmarks.measure import against, alone, race, timing_of
+from benchmarks.suite.harness import Case, Measured, Metric, Settings
+from benchmarks.suite.measure import against, alone, race, timing_of
 from pcm_jax import consistency_graph, maximum_clique, select, select_from, to_networkx
 from pcm_jax.simulation import simulate_city
 

@@ -19,9 +19,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from benchmarks.measure import Patience, cores, machine, peak_memory
+from benchmarks.suite.measure import Patience, cores, machine, peak_memory
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 THREADS = "OPENBLAS_NUM_THREADS"
 ENVIRONMENT = {
@@ -253,7 +253,7 @@ def _stamp(settings: Settings) -> str:
     """What results depend on, but for the machine."""
     digest = hashlib.blake2b(digest_size=16)
     digest.update(repr((settings, machine()["packages"])).encode())
-    for folder in ("pcm_jax", "benchmarks"):
+    for folder in ("pcm_jax", "benchmarks/suite"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()

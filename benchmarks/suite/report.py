@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Case, Metric, Outcome, in_digits, write_json
+from benchmarks.suite.harness import Case, Metric, Outcome, in_digits, write_json
 
 HERE = Path(__file__).parent
 BASELINE = HERE / "baseline.json"
-README = HERE / "README.md"
+README = HERE.parent / "README.md"
 MARKERS = "<!-- results: generated, do not edit -->", "<!-- end of results -->"
 HEAD = ("metric", "value", "to reach", "reached", "of baseline", "peak MB", "how")
 

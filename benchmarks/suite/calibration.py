@@ -12,8 +12,8 @@ import functools
 import jaxlie
 import numpy as np
 
-from benchmarks.harness import Case, Measured, Metric, Settings
-from benchmarks.random_worlds import NOISE, random_closures, random_map
+from benchmarks.suite.harness import Case, Measured, Metric, Settings
+from benchmarks.suite.random_worlds import NOISE, random_closures, random_map
 from pcm_jax import chi2_gate, consistency_problem, lie, optimize, squared_mahalanobis
 
 GROUPS = {"SE2": jaxlie.SE2, "SE3": jaxlie.SE3}

@@ -1,0 +1,13 @@
+"""The figures that this package promises, measured, each beside what it is compared with.
+
+    python -m benchmarks [--quick] [--only NAME ...] [--data DIR] --out DIR
+
+harness      cases and metrics; runs each case in a process of its own, resumes after a kill
+measure      time (compilation apart), memory, the machine
+report       summary.json, the table, the committed baseline, the table in benchmarks/README.md
+maps         the pose graphs measured on: public files, or simulated ones where those are absent
+gtsam_peer   the same graphs, solves and marginals by GTSAM
+
+One module per subject, each with a list `CASES`: optimization, marginals, distances, cliques,
+calibration, files, end_to_end.
+"""
