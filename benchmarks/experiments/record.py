@@ -7,13 +7,22 @@ import hashlib
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from benchmarks.suite.harness import write_json
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pcm_jax"
+LIBRARY = [
+    PACKAGE / layer
+    for layer in ("lie", "graph", "mapping", "consistency", "clique", "selection", "merging")
+] + [PACKAGE / "simulation", PACKAGE / "evaluation" / "comparison.py"]
+"""What the results of every comparison of methods depend on."""
+
+Figures = Mapping[str, float]
 
 
 class Steps:
@@ -32,13 +41,22 @@ class Steps:
         self.folder, self.stamp = folder, _stamp(options, sources)
 
     def __call__(self, name: str, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The step's result, plain data."""
-        path = self.folder / f"{name}.json"
-        kept = _read(path)
-        if kept.get("stamp") != self.stamp:
-            kept = {"stamp": self.stamp, "result": compute()}
-            write_json(path, kept)
-        return kept["result"]
+        """The step's result, plain data; computed if none is kept."""
+        result = self.kept(name)
+        return self.keep(name, compute()) if result is None else result
+
+    def kept(self, name: str) -> dict[str, Any] | None:
+        """The step's result if one of these options and sources is kept."""
+        kept = _read(self._path(name))
+        return kept["result"] if kept.get("stamp") == self.stamp else None
+
+    def keep(self, name: str, result: dict[str, Any]) -> dict[str, Any]:
+        """Writes a step's result, and returns it as it will be read."""
+        write_json(self._path(name), {"stamp": self.stamp, "result": result})
+        return _read(self._path(name))["result"]
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.json"
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -47,6 +65,27 @@ def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         table = csv.DictWriter(file, list(rows[0]))
         table.writeheader()
         table.writerows(rows)
+
+
+def means_by_method(runs: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Means of every figure over the runs, each `{"methods": {method: figures}}`."""
+    methods: list[Mapping[str, Figures]] = [run["methods"] for run in runs]
+    return {
+        name: {
+            figure: float(np.mean([each[name][figure] for each in methods]))
+            for figure in methods[0][name]
+        }
+        for name in methods[0]
+    }
+
+
+def rows_by_method(runs: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """One row for each run and method, for `write_csv`."""
+    return [
+        {"run": run, "method": name, **figures}
+        for run, result in runs.items()
+        for name, figures in result["methods"].items()
+    ]
 
 
 class Progress:

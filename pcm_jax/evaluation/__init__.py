@@ -1,5 +1,11 @@
-"""Metrics of the paper, and plots (`pcm_jax.evaluation.plots`, which needs matplotlib)."""
+"""How good a result is, and what it looks like.
 
+metrics      rates, map errors, trajectory errors
+comparison   every method on the same maps, closures and Q
+plots        every picture; needs matplotlib
+"""
+
+from pcm_jax.evaluation.comparison import Compared, Method, compare_methods, mean_figures
 from pcm_jax.evaluation.metrics import (
     PoseError,
     aligned,
@@ -16,10 +22,14 @@ from pcm_jax.evaluation.metrics import (
 )
 
 __all__ = [
+    "Compared",
+    "Method",
     "PoseError",
     "aligned",
     "ate_rmse",
+    "compare_methods",
     "false_positive_rate",
+    "mean_figures",
     "normalized_chi2",
     "pose_error",
     "precision",
