@@ -2,6 +2,7 @@
 
 metrics      rates, map errors, trajectory errors
 comparison   every method on the same maps, closures and Q
+tables       the comparison as text
 plots        every picture; needs matplotlib
 """
 
@@ -20,6 +21,7 @@ from pcm_jax.evaluation.metrics import (
     translation_mse,
     true_positive_rate,
 )
+from pcm_jax.evaluation.tables import comparison_table
 
 __all__ = [
     "Compared",
@@ -28,6 +30,7 @@ __all__ = [
     "aligned",
     "ate_rmse",
     "compare_methods",
+    "comparison_table",
     "false_positive_rate",
     "mean_figures",
     "normalized_chi2",

@@ -1,8 +1,7 @@
-"""Pictures of pairwise consistency: the squared distances, the graph, and what gates do to it."""
+"""Pictures of pairwise consistency: the squared distances, the gate, and the graph."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,13 @@ from pcm_jax.evaluation.plot_style import axes_or_new, legend_below
 _DECADES = 3.0
 # Node numbers are readable up to about this many around the circle.
 _NUMBERED_NODES = 48
+# Width of a histogram's bins, in decades: four to a factor of ten.
+_BIN = 0.25
+# Right pairs are dark, others light and behind; pairs of unknown truth are like right ones.
+_HISTOGRAMS: tuple[dict[str, Any], ...] = (
+    {"color": style.BLUE, "edgecolor": "white", "zorder": 2.0},
+    {"color": "#D8D3CB", "edgecolor": style.GREY, "hatch": "///", "zorder": 1.0},
+)
 
 
 def plot_squared_distances(
@@ -44,11 +50,7 @@ def plot_squared_distances(
     """
     from matplotlib.colors import LogNorm
 
-    values = np.array(squared, dtype=float)
-    if values.ndim != 2 or values.shape[0] != values.shape[1]:
-        raise InputError(f"squared: shape {values.shape} given, expected [m, m]")
-    if not gate > 0:
-        raise InputError(f"gate: {gate} given, expected a number above 0")
+    values = _checked_distances(squared, gate)
     np.fill_diagonal(values, np.nan)
     if order is not None:
         values = values[np.ix_(np.asarray(order), np.asarray(order))]
@@ -94,132 +96,99 @@ def plot_consistency_graph(
     count = len(adjacency)
     if adjacency.shape != (count, count):
         raise InputError(f"graph: shape {adjacency.shape} given, expected [m, m]")
-    for argument, mask in {"members": members, "inliers": inliers}.items():
-        if mask is not None and np.shape(mask) != (count,):
-            raise InputError(f"{argument}: shape {np.shape(mask)} given, expected ({count},)")
-    inside = np.zeros(count, bool) if members is None else np.asarray(members, dtype=bool)
+    true = None if inliers is None else _checked_mask("inliers", inliers, count)
+    inside = np.zeros(count, bool)
+    if members is not None:
+        inside = _checked_mask("members", members, count)
     ax = axes_or_new(ax, (5.8, 5.8))
     places = np.empty((count, 2))
     places[~inside] = _circle(count - inside.sum())
     places[inside] = 0.5 * _circle(inside.sum())
     _draw_chords(ax, places, adjacency, inside)
-    _draw_nodes(ax, places, inside, None if inliers is None else np.asarray(inliers, dtype=bool))
+    _draw_nodes(ax, places, inside, true)
     ax.set_aspect("equal")
     ax.set_axis_off()
     legend_below(ax, columns=2, offset=-0.01)
     return ax
 
 
-def plot_threshold_sweep(
-    confidence: Float[np.ndarray, " t"],
-    curves: Mapping[str, Any],
+def plot_gate(
+    squared: Float[Array, "m m"],
+    gate: float,
     *,
-    ylabel: str,
-    percent: bool = False,
+    dof: int,
+    inliers: Bool[np.ndarray, " m"] | None = None,
     ax: Any = None,
 ) -> Any:
-    """Draws how a figure of merit moves with the gate (the paper's Fig. 4), a line for each method.
+    """Draws how the squared distances are spread beside what two right closures should have.
+
+    Where truth is known, pairs of two true closures are drawn apart from the rest, and the curve is
+    the chi-squared density scaled to their number: the maps' covariances are right where the bars
+    follow it. Without truth the curve is scaled to the pairs inside the gate. The axis is
+    logarithmic: an outlier's distance can be anything.
 
     Args:
-        confidence: probability mass inside the gate.
-        curves: for each method its values `[t]`, or `[versions, t]`, drawn as the mean over
-            versions with a band from the 10th to the 90th percentile.
-        ylabel: what the values are, with their unit.
-        percent: whether values are fractions to be written in percent.
+        squared: squared Mahalanobis distances; the two directions of a pair count as their maximum.
+        gate: γ², as of `chi2_gate`.
+        dof: degrees of freedom, d: 3 in SE(2), 6 in SE(3).
+        inliers: which measurements are true, where that is known.
         ax: matplotlib axes to draw into; None makes a figure.
 
     Returns:
         The axes.
 
     Raises:
-        InputError: values of another number than the confidences.
+        InputError: `squared` is not square, the gate is not above 0, or a mask of another length.
     """
+    values = _checked_distances(squared, gate)
+    true = None if inliers is None else _checked_mask("inliers", inliers, len(values))
+    u, v = np.triu_indices(len(values), 1)
+    pairs = np.maximum(np.maximum(values[u, v], values[v, u]), np.finfo(float).tiny)
+    if true is None:
+        kinds = {"pairs": np.ones(len(pairs), bool)}
+        expected = int(np.count_nonzero(pairs <= gate))
+    else:
+        right = true[u] & true[v]
+        kinds = {"two true closures": right, "one of them false, or both": ~right}
+        expected = int(np.count_nonzero(right))
     ax = axes_or_new(ax, (5.8, 4.2))
-    scale = 100.0 if percent else 1.0
-    for k, (name, given) in enumerate(curves.items()):
-        values = scale * np.atleast_2d(np.asarray(given, dtype=float))
-        if values.shape[1] != len(confidence):
-            raise InputError(
-                f"curves[{name!r}]: shape {np.shape(given)} given, expected {len(confidence)} "
-                "values, one per confidence"
-            )
-        color = style.SERIES[k % len(style.SERIES)]
-        ax.plot(
-            confidence,
-            values.mean(axis=0),
-            label=name,
-            color=color,
-            linestyle=style.DASHES[k % len(style.DASHES)],
-            marker=style.MARKERS[k % len(style.MARKERS)],
-            markersize=5,
-        )
-        if len(values) > 1:
-            low, high = np.percentile(values, [10, 90], axis=0)
-            ax.fill_between(confidence, low, high, color=color, alpha=0.15, linewidth=0)
-    ax.set_xlabel("confidence: probability inside the gate")
-    ax.set_ylabel(f"{ylabel} (%)" if percent else ylabel)
-    ax.grid(alpha=0.3)
-    legend_below(ax, offset=-0.2)
+    low = min(-2.0, np.log10(gate) - 2.0)
+    edges = np.arange(low, max(np.log10(pairs.max(initial=gate)), low + 4.0) + _BIN, _BIN)
+    for (name, rows), looks in zip(kinds.items(), _HISTOGRAMS, strict=False):
+        shown = np.clip(np.log10(pairs[rows]), edges[0], edges[-1])
+        ax.hist(10.0**shown, 10.0**edges, label=f"{name} ({rows.sum()})", **looks)
+    _draw_chi2(ax, edges, dof, expected)
+    ax.axvline(gate, color=style.RED, linewidth=2.0, label=f"gate γ² = {gate:.4g}")
+    ax.set_xscale("log")
+    ax.set_xlabel("squared distance q², larger direction")
+    ax.set_ylabel("pairs")
+    legend_below(ax, columns=2, offset=-0.2)
     return ax
 
 
-def plot_set_size_histogram(
-    sizes: Mapping[str, Int[np.ndarray, " w"]],
-    *,
-    reference: Int[np.ndarray, " w"] | None = None,
-    ax: Any = None,
-) -> Any:
-    """Draws how large the sets are that methods find, in percent of the worlds (Figs 2 and 3).
-
-    The scale is logarithmic: the worlds in which a heuristic falls short are few.
-
-    Args:
-        sizes: for each method the size of its set in each world.
-        reference: the largest size in each world; the differences to it are drawn then.
-        ax: matplotlib axes to draw into; None makes a figure.
-
-    Returns:
-        The axes.
-
-    Raises:
-        InputError: methods or reference with different numbers of worlds.
-    """
-    offset = 0 if reference is None else np.asarray(reference)
-    counts = {name: np.asarray(values) - offset for name, values in _same_length(sizes, reference)}
-    ax = axes_or_new(ax, (5.8, 4.2))
-    low = min(int(values.min()) for values in counts.values())
-    high = max(int(values.max()) for values in counts.values())
-    bins = np.arange(low, high + 1)
-    width = 0.8 / len(counts)
-    for k, (name, values) in enumerate(counts.items()):
-        share = 100.0 * np.bincount(values - low, minlength=len(bins)) / len(values)
-        ax.bar(
-            bins + (k - 0.5 * (len(counts) - 1)) * width,
-            share,
-            width,
-            label=name,
-            color=style.SERIES[k % len(style.SERIES)],
-            hatch=style.HATCHES[k % len(style.HATCHES)],
-            edgecolor="white",
-        )
-    shown = [patch.get_height() for patch in ax.patches if patch.get_height() > 0]
-    ax.set_yscale("log")
-    ax.set_ylim(bottom=0.5 * min(shown))
-    ax.yaxis.set_major_formatter("{x:g}")
-    ax.xaxis.get_major_locator().set_params(integer=True)
-    ax.set_xlabel("size of the set" if reference is None else "size of the set less the largest")
-    ax.set_ylabel("worlds (%)")
-    legend_below(ax, offset=-0.2)
-    return ax
+def _checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
+    values = np.array(squared, dtype=float)
+    if values.ndim != 2 or values.shape[0] != values.shape[1]:
+        raise InputError(f"squared: shape {values.shape} given, expected [m, m]")
+    if not gate > 0:
+        raise InputError(f"gate: {gate} given, expected a number above 0")
+    return values
 
 
-def _same_length(sizes: Mapping[str, Any], reference: Any) -> list[tuple[str, Any]]:
-    lengths = {name: len(values) for name, values in sizes.items()}
-    if reference is not None:
-        lengths["reference"] = len(reference)
-    if len(set(lengths.values())) != 1:
-        raise InputError(f"sizes: {lengths} worlds given, expected the same number for all")
-    return list(sizes.items())
+def _checked_mask(argument: str, mask: Any, count: int) -> Bool[np.ndarray, " m"]:
+    if np.shape(mask) != (count,):
+        raise InputError(f"{argument}: shape {np.shape(mask)} given, expected ({count},)")
+    return np.asarray(mask, dtype=bool)
+
+
+def _draw_chi2(ax: Any, edges: Float[np.ndarray, " e"], dof: int, pairs: int) -> None:
+    """The number of pairs that chi-squared expects in a bin centred at each place."""
+    from scipy.special import gammainc
+
+    at = np.linspace(edges[0], edges[-1], 400)
+    above, below = (gammainc(0.5 * dof, 0.5 * 10.0 ** (at + h * _BIN)) for h in (0.5, -0.5))
+    label = f"chi-squared, {dof} degree{'s' * (dof > 1)} of freedom"
+    ax.plot(10.0**at, pairs * (above - below), color=style.BLACK, zorder=3.0, label=label)
 
 
 def _gate_colors() -> Any:

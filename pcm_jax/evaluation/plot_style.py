@@ -59,6 +59,17 @@ def robot_style(index: int, count: int) -> dict[str, Any]:
     }
 
 
+def series_style(index: int, count: int) -> dict[str, Any]:
+    """Line of one method: later ones are thinner, so that methods that agree all show."""
+    return {
+        "color": SERIES[index % len(SERIES)],
+        "linestyle": DASHES[index % len(DASHES)],
+        "marker": MARKERS[index % len(MARKERS)],
+        "linewidth": np.linspace(2.6, 1.2, max(count, 2))[index],
+        "markersize": np.linspace(8.0, 4.0, max(count, 2))[index],
+    }
+
+
 def axes_or_new(ax: Any, size: tuple[float, float] = (5.8, 5.4)) -> Any:
     """The axes given, or those of a new figure of `size` inches."""
     if ax is not None:

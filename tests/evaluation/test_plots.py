@@ -262,31 +262,35 @@ def test_a_graph_refuses_masks_of_another_length(wrong):
         plots.plot_consistency_graph(np.zeros((3, 3), bool), **wrong)
 
 
-def test_a_sweep_draws_means_and_bands_over_versions():
-    confidence = np.array([0.1, 0.5, 0.9])
-    versions = np.array([[0.0, 0.5, 1.0], [1.0, 0.5, 1.0]])
-    ax = plots.plot_threshold_sweep(
-        confidence, {"PCM": versions, "SCGP": versions[0]}, ylabel="TPR", percent=True
-    )
-    assert line(ax, "PCM").get_ydata().tolist() == [50.0, 50.0, 100.0]
-    assert line(ax, "SCGP").get_ydata().tolist() == [0.0, 50.0, 100.0]
-    assert len(ax.collections) == 1  # one band: SCGP has a single version
-    assert ax.get_ylabel() == "TPR (%)"
-    assert line(ax, "PCM").get_marker() != line(ax, "SCGP").get_marker()
-    with pytest.raises(InputError, match="PCM"):
-        plots.plot_threshold_sweep(confidence, {"PCM": np.ones(2)}, ylabel="TPR")
+def test_the_gate_is_drawn_beside_what_right_pairs_should_have():
+    generator = np.random.default_rng(0)
+    squared = generator.chisquare(3, (40, 40))
+    inliers = np.arange(40) < 30
+    squared[~inliers] *= 1e4
+    squared = np.maximum(squared, squared.T)
+    ax = plots.plot_gate(squared, 11.34, dof=3, inliers=inliers)
+    right, wrong = ax.containers
+    assert {"two true closures (435)", "one of them false, or both (345)"} < set(legend_of(ax))
+    assert sum(bar.get_height() for bar in right) == 435
+    assert sum(bar.get_height() for bar in wrong) == 345
+    density = line(ax, "chi-squared, 3 degrees of freedom")
+    x, y = density.get_data()
+    bin_of_ten = np.log10(x[1] / x[0])
+    assert y.sum() * bin_of_ten / 0.25 == pytest.approx(435, rel=0.01)  # bins of 0.25 decades
+    assert line(ax, "gate γ² = 11.34").get_xdata()[0] == 11.34
+    assert ax.get_xscale() == "log"
 
 
-def test_set_sizes_are_shares_of_worlds():
-    exact, heuristic = np.array([5, 6, 7, 7]), np.array([5, 6, 6, 7])
-    ax = plots.plot_set_size_histogram({"exact": exact, "heuristic": heuristic}, reference=exact)
-    heights = [[patch.get_height() for patch in bars] for bars in ax.containers]
-    assert heights == [[0.0, 100.0], [25.0, 75.0]]
-    assert legend_of(ax) == ["exact", "heuristic"]
-    absolute = plots.plot_set_size_histogram({"exact": exact})
-    assert [patch.get_height() for patch in absolute.containers[0]] == [25.0, 25.0, 50.0]
-    with pytest.raises(InputError, match="reference"):
-        plots.plot_set_size_histogram({"exact": exact}, reference=exact[:2])
+def test_the_gate_without_truth_counts_larger_directions():
+    squared = np.array([[0.0, 1.0, 0.0], [50.0, 0.0, 2.0], [0.0, 2.0, 0.0]])
+    ax = plots.plot_gate(squared, 10.0, dof=1)
+    (bars,) = ax.containers
+    assert "pairs (3)" in legend_of(ax)
+    assert sum(bar.get_height() for bar in bars if bar.get_x() > 10.0) == 1
+    with pytest.raises(InputError, match="inliers"):
+        plots.plot_gate(squared, 10.0, dof=1, inliers=np.ones(2, bool))
+    with pytest.raises(InputError, match="squared"):
+        plots.plot_gate(np.ones((2, 3)), 10.0, dof=1)
 
 
 def test_matplotlib_is_not_loaded_until_something_is_drawn():
