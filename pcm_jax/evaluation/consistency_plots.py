@@ -17,10 +17,10 @@ _DECADES = 3.0
 _NUMBERED_NODES = 48
 # Width of a histogram's bins, in decades: four to a factor of ten.
 _BIN = 0.25
-# Right pairs are dark, others light and behind; pairs of unknown truth are like right ones.
+# Right pairs, and pairs of unknown truth, are dark; others are an outline that hides nothing.
 _HISTOGRAMS: tuple[dict[str, Any], ...] = (
-    {"color": style.BLUE, "edgecolor": "white", "zorder": 2.0},
-    {"color": "#D8D3CB", "edgecolor": style.GREY, "hatch": "///", "zorder": 1.0},
+    {"fill": True, "color": style.BLUE, "alpha": 0.85, "zorder": 2.0},
+    {"fill": False, "color": style.GREY, "hatch": "////", "linewidth": 1.5, "zorder": 2.5},
 )
 
 
@@ -122,10 +122,10 @@ def plot_gate(
 ) -> Any:
     """Draws how the squared distances are spread beside what two right closures should have.
 
-    Where truth is known, pairs of two true closures are drawn apart from the rest, and the curve is
-    the chi-squared density scaled to their number: the maps' covariances are right where the bars
-    follow it. Without truth the curve is scaled to the pairs inside the gate. The axis is
-    logarithmic: an outlier's distance can be anything.
+    Where truth is known, pairs of two true closures are drawn apart from the rest, each kind in
+    percent of its own number, and the curve is what the chi-squared distribution expects: the
+    covariances are right where the bars follow it. Without truth the curve is scaled to the share
+    of all pairs inside the gate. The axis is logarithmic: an outlier's distance can be anything.
 
     Args:
         squared: squared Mahalanobis distances; the two directions of a pair count as their maximum.
@@ -145,23 +145,22 @@ def plot_gate(
     u, v = np.triu_indices(len(values), 1)
     pairs = np.maximum(np.maximum(values[u, v], values[v, u]), np.finfo(float).tiny)
     if true is None:
-        kinds = {"pairs": np.ones(len(pairs), bool)}
-        expected = int(np.count_nonzero(pairs <= gate))
+        kinds, share = {"pairs": np.ones(len(pairs), bool)}, 100.0 * float(np.mean(pairs <= gate))
     else:
         right = true[u] & true[v]
-        kinds = {"two true closures": right, "one of them false, or both": ~right}
-        expected = int(np.count_nonzero(right))
+        kinds, share = {"two true": right, "one or both false": ~right}, 100.0
     ax = axes_or_new(ax, (5.8, 4.2))
     low = min(-2.0, np.log10(gate) - 2.0)
     edges = np.arange(low, max(np.log10(pairs.max(initial=gate)), low + 4.0) + _BIN, _BIN)
     for (name, rows), looks in zip(kinds.items(), _HISTOGRAMS, strict=False):
-        shown = np.clip(np.log10(pairs[rows]), edges[0], edges[-1])
-        ax.hist(10.0**shown, 10.0**edges, label=f"{name} ({rows.sum()})", **looks)
-    _draw_chi2(ax, edges, dof, expected)
+        counts, _ = np.histogram(np.clip(np.log10(pairs[rows]), edges[0], edges[-1]), edges)
+        percent = 100.0 * counts / max(rows.sum(), 1)
+        ax.stairs(percent, 10.0**edges, label=f"{name} ({rows.sum()})", **looks)
+    _draw_chi2(ax, edges, dof, share)
     ax.axvline(gate, color=style.RED, linewidth=2.0, label=f"gate γ² = {gate:.4g}")
     ax.set_xscale("log")
     ax.set_xlabel("squared distance q², larger direction")
-    ax.set_ylabel("pairs")
+    ax.set_ylabel("pairs of closures (%)")
     legend_below(ax, columns=2, offset=-0.2)
     return ax
 
@@ -181,14 +180,14 @@ def _checked_mask(argument: str, mask: Any, count: int) -> Bool[np.ndarray, " m"
     return np.asarray(mask, dtype=bool)
 
 
-def _draw_chi2(ax: Any, edges: Float[np.ndarray, " e"], dof: int, pairs: int) -> None:
-    """The number of pairs that chi-squared expects in a bin centred at each place."""
+def _draw_chi2(ax: Any, edges: Float[np.ndarray, " e"], dof: int, percent: float) -> None:
+    """What chi-squared expects in a bin centred at each place, of so many percent in all."""
     from scipy.special import gammainc
 
     at = np.linspace(edges[0], edges[-1], 400)
     above, below = (gammainc(0.5 * dof, 0.5 * 10.0 ** (at + h * _BIN)) for h in (0.5, -0.5))
-    label = f"chi-squared, {dof} degree{'s' * (dof > 1)} of freedom"
-    ax.plot(10.0**at, pairs * (above - below), color=style.BLACK, zorder=3.0, label=label)
+    curve = percent * (above - below)
+    ax.plot(10.0**at, curve, color=style.BLACK, zorder=3.0, label=f"chi-squared, d = {dof}")
 
 
 def _gate_colors() -> Any:
