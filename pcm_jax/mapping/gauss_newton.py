@@ -175,14 +175,14 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
         )
         terminate = settled & ~state.first_step
         y, f_info = _choose(accept, (state.candidate, f_eval), (y, state.f_info))
+        out_of_steps = ~terminate & (state.steps + 1 >= args.max_steps)
         descent_state, delta = jax.lax.cond(
-            terminate,
+            terminate | out_of_steps,
             lambda: (state.descent_state, state.delta),
             lambda: self._descend(accept, f_info, step_size, state.descent_state),
         )
         failed = accept & ~jnp.isfinite(cost)
         result = optx.RESULTS.where(failed, optx.RESULTS.nonfinite, search_result)
-        out_of_steps = ~terminate & (state.steps + 1 >= args.max_steps)
         gave_up = optx.RESULTS.nonlinear_max_steps_reached
         result = optx.RESULTS.where(out_of_steps & ~failed, gave_up, result)
         return (

@@ -1,13 +1,14 @@
 """The host's side of a solve: padding, the pattern's system, one compiled call, the result.
 
-`solve` takes any graph of poses, one map or several merged ones; `optimize` and the merge are thin
-callers.
+`PoseProblem` takes any graph of poses, one map or several merged ones; `optimize` and the merge are
+thin callers. Robust methods solve one problem again and again, with other weights of its edges.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -36,7 +37,7 @@ def padded_size(poses: int, edges: int) -> int:
 
 
 class Solved(NamedTuple):
-    """What `solve` returns, on the host.
+    """What `PoseProblem.solve` returns, on the host.
 
     Attributes:
         poses: Lie `[n]`, NumPy.
@@ -67,61 +68,80 @@ def check_names(method: str, engine: str) -> None:
             ) from error
 
 
-@in_float64
-def solve(
-    poses: Any,
-    tail: Int[np.ndarray, " e"],
-    head: Int[np.ndarray, " e"],
-    measurement: Any,
-    information: Float[np.ndarray, "e d d"],
-    fixed: Bool[np.ndarray, " n"],
-    *,
-    method: str = "gauss-newton",
-    engine: str = "blocks",
-    rtol: float = RTOL,
-    atol: float = ATOL,
-    max_steps: int = MAX_STEPS,
-) -> Solved:
-    """Minimises 0.5 Σ rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), from the given poses.
+class PoseProblem:
+    """Residuals between poses, planned and padded once, to be solved as often as asked.
 
     Args:
-        poses: Lie `[n]`.
         tail, head: `[e]`.
         measurement: Lie `[e]`.
         information: `[e, d, d]`, of the right perturbation of the measurement.
         fixed: `[n]` poses that stay; at least one in every connected part.
-        method: "gauss-newton" or "levenberg-marquardt".
-        engine: "blocks" or "cholmod".
-        rtol, atol: see `ManifoldGaussNewton`.
-        max_steps: evaluations after which to give up.
     """
-    from pcm_jax.mapping.gauss_newton import Problem
-    from pcm_jax.mapping.normal_equations import system_for
 
-    check_names(method, engine)
-    tail, head = np.asarray(tail), np.asarray(head)
-    n = len(fixed)
-    system = system_for(n, tail, head, np.asarray(fixed), information.shape[-1])
-    size = padded_size(n, len(tail))
-    free = np.zeros(size, bool)
-    free[:n] = ~np.asarray(fixed)
-    edges = padded_edges(tail, head, measurement, information, size=size)
-    problem = Problem(
-        edges,
-        cast(Any, free),
-        cast(Any, np.asarray(system.handle)),
-        cast(Any, np.asarray(max_steps)),
-    )
-    start = lie.pad_leading(lie.as_numpy(poses), size)
-    run = _compiled(method, engine, rtol, atol)
-    final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
-    return Solved(
-        lie.take(lie.as_numpy(final), slice(0, n)),
-        float(initial_cost),
-        float(cost),
-        int(steps),
-        bool(converged),
-    )
+    def __init__(
+        self,
+        tail: Int[np.ndarray, " e"],
+        head: Int[np.ndarray, " e"],
+        measurement: Any,
+        information: Float[np.ndarray, "e d d"],
+        fixed: Bool[np.ndarray, " n"],
+    ):
+        from pcm_jax.mapping.normal_equations import system_for
+
+        tail, head, held = np.asarray(tail), np.asarray(head), np.asarray(fixed)
+        self.poses, self.edges = len(held), len(tail)
+        self._size = padded_size(self.poses, self.edges)
+        self._system = system_for(self.poses, tail, head, held, information.shape[-1])
+        self._free = np.pad(~held, (0, self._size - self.poses))
+        self._padded = padded_edges(tail, head, measurement, information, size=self._size)
+
+    @in_float64
+    def solve(
+        self,
+        poses: Any,
+        *,
+        scale: Float[np.ndarray, " e"] | None = None,
+        method: str = "gauss-newton",
+        engine: str = "blocks",
+        rtol: float = RTOL,
+        atol: float = ATOL,
+        max_steps: int = MAX_STEPS,
+    ) -> Solved:
+        """Minimises 0.5 Σ s² rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), from the given poses.
+
+        Args:
+            poses: Lie `[n]`.
+            scale: s of each edge; None: all 1.
+            method: "gauss-newton" or "levenberg-marquardt".
+            engine: "blocks" or "cholmod".
+            rtol, atol: see `ManifoldGaussNewton`.
+            max_steps: evaluations after which to give up.
+
+        Raises:
+            InputError: an unknown name, or an engine that is not installed.
+        """
+        from pcm_jax.mapping.gauss_newton import Problem
+
+        check_names(method, engine)
+        arrays: Any = self._free, np.asarray(self._system.handle), np.asarray(max_steps)
+        problem = Problem(self._scaled(scale), *arrays)
+        start = lie.pad_leading(lie.as_numpy(poses), self._size)
+        run = _compiled(method, engine, rtol, atol)
+        final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
+        return Solved(
+            lie.take(lie.as_numpy(final), slice(0, self.poses)),
+            float(initial_cost),
+            float(cost),
+            int(steps),
+            bool(converged),
+        )
+
+    def _scaled(self, scale: np.ndarray | None) -> Edges:
+        if scale is None:
+            return self._padded
+        whitening: Any = np.array(self._padded.whitening)
+        whitening[..., : self.edges] *= scale
+        return dataclasses.replace(self._padded, whitening=whitening)
 
 
 def padded_edges(

@@ -12,7 +12,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
 from pcm_jax.mapping.initialization import chordal_poses
-from pcm_jax.mapping.least_squares import MAX_STEPS, check_names, solve
+from pcm_jax.mapping.least_squares import MAX_STEPS, PoseProblem, check_names
 from pcm_jax.precision import in_float64
 
 INITIAL = ("chordal", "spanning-tree", "given")
@@ -68,7 +68,8 @@ def optimize(
     start = _initial_poses(pose_graph, arrays, initial)
     if pose_graph.num_edges == 0:
         return Solution(pose_graph, 0.0, 0.0, 0, True)
-    solved = solve(start, *arrays, first, method=method, engine=engine, max_steps=max_steps)
+    problem = PoseProblem(*arrays, first)
+    solved = problem.solve(start, method=method, engine=engine, max_steps=max_steps)
     graph = pose_graph.with_poses(lie.as_device(solved.poses))
     return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
 

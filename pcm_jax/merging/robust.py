@@ -26,12 +26,13 @@ import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.mapping import optimize
+from pcm_jax.mapping.least_squares import PoseProblem
+from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.merging.joint import joint_graph
@@ -39,18 +40,16 @@ from pcm_jax.merging.robust_methods import (
     ACCEPTED_SCALE,
     ROBUST_METHODS,
     Reweighting,
-    Weights,
     check_robust_options,
 )
-from pcm_jax.precision import device_array
 
 INITIAL = ("identity", "closures")
 MOST_TURNS = 100
 SCALE_TOLERANCE = 1e-4
 COST_TOLERANCE = 1e-5
 """Relative change of the weighted cost in a turn, up to which it is called settled."""
-LEAST_WEIGHT = 1e-12
-"""Instead of zero, so that the pattern stays and each information has a Cholesky factor."""
+LEAST_SCALE = 1e-6
+"""Instead of zero, so that robots which all closures are rejected between stay in one system."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ def solve_robustly(
         scale[used], squared[used], first = turn.scale, turn.squared, 0
         for robot in members:
             rows = slice(first, first + graph.maps[robot].num_poses)
-            maps[robot] = maps[robot].with_poses(lie.take(turn.joint.poses, rows))
+            maps[robot] = maps[robot].with_poses(lie.as_device(lie.take(turn.poses, rows)))
             first = rows.stop
     turns = [turn for _, _, turn in parts]
     return RobustSolution(
@@ -143,7 +142,7 @@ def solve_robustly(
 
 
 class _Turns(NamedTuple):
-    joint: PoseGraph
+    poses: Any  # Lie [n], NumPy
     scale: np.ndarray
     squared: np.ndarray
     cost: float
@@ -184,7 +183,12 @@ def reweighted(
         reweighting: the method.
         solver, engine: see `optimize`.
     """
-    squared, state, scale = squared_residuals(joint, closures), None, np.full(closures, np.inf)
+    tail, head, measurement, information = arrays = host_arrays(joint)
+    problem = PoseProblem(*arrays, np.arange(joint.num_poses) == 0)
+    last = slice(joint.num_edges - closures, None)
+    measured = tail[last], head[last], lie.take(measurement, last), information[last]
+    poses, state, scale = lie.as_numpy(joint.poses), None, np.full(closures, np.inf)
+    squared, of_edges = squared_residuals(poses, *measured), np.ones(joint.num_edges)
     initial_cost = cost = math.nan
     settled = False
     for turn in range(MOST_TURNS + 1):
@@ -192,41 +196,36 @@ def reweighted(
         change, scale = np.abs(np.sqrt(weights) - scale).max(), np.sqrt(weights)
         decided = not reweighting.binary or bool(np.isin(weights, (0.0, 1.0)).all())
         if settled and decided and change <= SCALE_TOLERANCE:
-            return _Turns(joint, scale, squared, cost, initial_cost, turn, True)
-        solution = optimize(
-            _scaled(joint, np.maximum(weights, LEAST_WEIGHT)),
-            initial="given",
+            return _Turns(poses, scale, squared, cost, initial_cost, turn, True)
+        of_edges[-closures:] = np.maximum(scale, LEAST_SCALE)
+        solved = problem.solve(
+            poses,
+            scale=of_edges,
             method=solver,
             engine=engine,
             max_steps=reweighting.evaluations,
         )
         if turn == 0:
-            initial_cost = cost = solution.initial_cost
-        if not math.isfinite(solution.cost):
+            initial_cost = cost = solved.initial_cost
+        if not math.isfinite(solved.cost):
             break
-        cost = solution.cost
-        settled = abs(solution.initial_cost - cost) <= COST_TOLERANCE * solution.initial_cost
-        joint = joint.with_poses(solution.graph.poses)
-        squared = squared_residuals(joint, closures)
-    return _Turns(joint, scale, squared, cost, initial_cost, turn, False)
+        cost = solved.cost
+        settled = abs(solved.initial_cost - cost) <= COST_TOLERANCE * solved.initial_cost
+        poses, squared = solved.poses, squared_residuals(solved.poses, *measured)
+    return _Turns(poses, scale, squared, cost, initial_cost, turn, False)
 
 
-def squared_residuals(joint: PoseGraph, closures: int) -> Float[np.ndarray, " m"]:
-    """χ² = rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), of a graph's last edges."""
-    last = slice(joint.num_edges - closures, None)
-    poses = lie.as_numpy(joint.poses)
-    tail, head = (lie.take(poses, np.asarray(ends)[last]) for ends in (joint.tail, joint.head))
-    measurement = lie.take(lie.as_numpy(joint.measurement), last)
-    residual = np.asarray(lie.log(lie.between(measurement, lie.between(tail, head))))
-    information = np.asarray(joint.information)[last]
+def squared_residuals(
+    poses: Any,
+    tail: Int[np.ndarray, " m"],
+    head: Int[np.ndarray, " m"],
+    measurement: Any,
+    information: Float[np.ndarray, "m d d"],
+) -> Float[np.ndarray, " m"]:
+    """χ² = rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), of edges given in NumPy."""
+    found = lie.between(lie.take(poses, tail), lie.take(poses, head))
+    residual = np.asarray(lie.log(lie.between(measurement, found)))
     return np.einsum("ei,eij,ej->e", residual, information, residual)
-
-
-def _scaled(joint: PoseGraph, weights: Weights) -> PoseGraph:
-    """The graph with the information of its last edges multiplied."""
-    information = np.array(joint.information)
-    information[len(information) - len(weights) :] *= weights[:, None, None]
-    return dataclasses.replace(joint, information=device_array(information))
 
 
 def _start(
