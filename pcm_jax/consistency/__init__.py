@@ -13,22 +13,29 @@ uncertainty of the measurements and of the two maps explains. So, for every pair
 
 The largest set of closures that all agree, step iii, is the largest clique of that graph.
 
-`squared_mahalanobis_of` does step 2 for any residual of two measurements.
+`within_problem` is step 1 for the loop closures inside one robot's own map, where a closure also
+closes a loop with odometry alone (`squared_own_loops`). `squared_mahalanobis_of` does step 2 for
+any residual of two measurements.
 """
 
 from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
-from pcm_jax.consistency.mahalanobis import squared_mahalanobis
+from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops
 from pcm_jax.consistency.problem import ConsistencyProblem, consistency_problem
+from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
 
 __all__ = [
     "ConsistencyProblem",
+    "WithinProblem",
     "chi2_gate",
     "consistency_graph",
     "consistency_problem",
     "loop_error",
+    "odometry_edges",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
+    "squared_own_loops",
     "to_networkx",
+    "within_problem",
 ]

@@ -15,6 +15,19 @@ measurement's error in map a's frame; ξ and η: the maps'). Log(exp(e) exp(r)) 
 
 q²_vu is the same with Ad(T_u) in place of Ad(T_v); G, Z and r (up to sign) are shared. Nothing is
 inverted but M, so closures that share a pose (G = 0) are no special case.
+
+Within one map (`within`) ξ and η are errors of one odometry, so the two sides of the loop share
+the steps that lie between i and j and between k and l as well. Steps are independent of each other:
+with O the covariance that the shared ones add up to, A and B that of what is left of either side,
+and s = ±1 whether both sides walk the shared steps in the same direction,
+
+    M_uv  = A + Ad(T_v) B Ad(T_v)ᵀ + (I + s Ad(T_v)) O (I + s Ad(T_v))ᵀ + Z_u + Z_v
+
+which for closures that start at their earlier pose leaves next to nothing of O (s = −1, T_v ≈ I),
+however long the shared way: nothing large is subtracted from anything large. One closure with
+odometry alone, ε = Log(z_u⁻¹ x_ik), has by the same derivation
+
+    q²_u  = r_uᵀ (S_k − S_i + Z_u)⁻¹ r_u,      r_u = Log(T_u⁻¹)
 """
 
 from __future__ import annotations
@@ -30,13 +43,14 @@ from jaxtyping import Array, Float
 
 from pcm_jax import lie
 from pcm_jax.consistency.problem import ConsistencyProblem
+from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.lie import unrolled
 
 # Rows and columns of a tile of pairs: what a tile reads (two maps' G) then stays in a core's cache.
 TILE = 64
 
 
-def closed_form_kernel(problem: ConsistencyProblem) -> Float[Array, "m m"]:
+def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Array, "m m"]:
     """q² of all ordered pairs; padding is computed like anything else."""
     placed, noise = _per_closure(problem)
     count = problem.valid.shape[0]
@@ -57,7 +71,17 @@ def closed_form_kernel(problem: ConsistencyProblem) -> Float[Array, "m m"]:
     return jnp.where(jnp.eye(count, dtype=bool), 0.0, squared)
 
 
-def _per_closure(problem: ConsistencyProblem) -> tuple[Any, Any]:
+def own_loop_kernel(problem: WithinProblem) -> Float[Array, " m"]:
+    """q² of the loop that each closure makes with odometry alone."""
+    placed, noise = _per_closure(problem)
+    module = lie.module_of(lie.group_of(problem.measurement))
+    error = module.log(module.inverse(tuple(placed)))
+    cumulated = problem.cumulated_covariance
+    total = cumulated[:, problem.row_b] - cumulated[:, problem.row_a] + noise
+    return unrolled.inverse_quadratic_form(unrolled.unpack(total), error)
+
+
+def _per_closure(problem: ConsistencyProblem | WithinProblem) -> tuple[Any, Any]:
     """T_u as components `[p, m]`, and Z_u packed, `[d(d+1)/2, m]`."""
     module = lie.module_of(lie.group_of(problem.measurement))
     pose_a, pose_b = lie.components(problem.pose_a), lie.components(problem.pose_b)
@@ -68,18 +92,62 @@ def _per_closure(problem: ConsistencyProblem) -> tuple[Any, Any]:
     return jnp.stack(placed), jnp.stack(noise)
 
 
-def _tile(problem: ConsistencyProblem, placed: Any, noise: Any, u: Any, v: Any) -> tuple[Any, Any]:
+def _tile(
+    problem: ConsistencyProblem | WithinProblem, placed: Any, noise: Any, u: Any, v: Any
+) -> tuple[Any, Any]:
     """q²_uv and q²_vu for closures `u` (rows) and `v` (columns)."""
     module = lie.module_of(lie.group_of(problem.measurement))
-    relative_a = _gather(problem.relative_covariance_a, problem.row_a, u, v)
-    relative_b = _gather(problem.relative_covariance_b, problem.row_b, u, v)
+    if isinstance(problem, WithinProblem):
+        side_a, side_b, both_sides = _one_map(problem, u, v)
+    else:
+        (side_a, side_b), both_sides = _two_maps(problem, u, v), None
     t_u = tuple(component[u][:, None] for component in placed)
     t_v = tuple(component[v][None, :] for component in placed)
-    both = unrolled.unpack([entry[u][:, None] + entry[v][None, :] for entry in noise])
     error = _error(module, t_u, t_v)
-    shared = unrolled.pack(unrolled.add(relative_a, both))
-    packed_b = unrolled.pack(relative_b)
-    return tuple(_weighted_square(module, t, error, shared, packed_b) for t in (t_v, t_u))
+    fixed = tuple(a + (z[u][:, None] + z[v][None, :]) for a, z in zip(side_a, noise, strict=True))
+    return tuple(_weighted_square(module, t, error, fixed, side_b, both_sides) for t in (t_v, t_u))
+
+
+def _two_maps(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:
+    """Ga_ij and Gb_kl, packed, of all pairs of a tile."""
+
+    def gather(packed: Any, rows: Any) -> Any:
+        # The rows are the problem's own, so no index is checked.
+        return packed.at[:, rows[u][:, None], rows[v][None, :]].get(mode="promise_in_bounds")
+
+    side_a = gather(problem.relative_covariance_a, problem.row_a)
+    return side_a, gather(problem.relative_covariance_b, problem.row_b)
+
+
+def _one_map(problem: WithinProblem, u: Any, v: Any) -> tuple[Any, Any, Any]:
+    """A and B, packed, and (s, O packed), of all pairs of a tile."""
+
+    def instant(rows: Any, axis: int) -> Any:
+        cumulated = problem.cumulated_covariance[:, rows]
+        return jnp.expand_dims(rows, axis), tuple(jnp.expand_dims(c, axis) for c in cumulated)
+
+    i, j = instant(problem.row_a[u], 1), instant(problem.row_a[v], 0)
+    k, l = instant(problem.row_b[u], 1), instant(problem.row_b[v], 0)  # noqa: E741
+    (first_a, last_a), (first_b, last_b) = _in_order(i, j), _in_order(l, k)
+    start, end = _in_order(first_a, first_b)[1], _in_order(last_a, last_b)[0]
+    end = _in_order(start, end)[1]  # of intervals that do not meet nothing is shared
+
+    def without(first: Any, last: Any) -> Any:
+        ends = zip(first[1], last[1], start[1], end[1], strict=True)
+        return tuple((x_last - x_end) + (x_start - x) for x, x_last, x_start, x_end in ends)
+
+    shared = tuple(x_end - x_start for x_start, x_end in zip(start[1], end[1], strict=True))
+    together = (i[0] < j[0]) == (l[0] < k[0])
+    sign = jnp.where(together, jnp.ones((), shared[0].dtype), -1.0)
+    return without(first_a, last_a), without(first_b, last_b), (sign, shared)
+
+
+def _in_order(one: Any, other: Any) -> tuple[Any, Any]:
+    """The earlier and the later of two instants, each its row and S, packed."""
+    swapped = one[0] > other[0]
+    earlier = jax.tree.map(lambda x, y: jnp.where(swapped, y, x), one, other)
+    later = jax.tree.map(lambda x, y: jnp.where(swapped, x, y), one, other)
+    return earlier, later
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -102,9 +170,11 @@ def _error_jvp(module: ModuleType, primals: Any, velocities: Any) -> tuple[Any, 
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _weighted_square(module: ModuleType, t: Any, error: Any, shared: Any, other: Any) -> Any:
-    """The number rᵀ M⁻¹ r with M = shared + Ad(T) other Ad(T)ᵀ, both packed."""
-    return unrolled.inverse_quadratic_form(_total(module, t, shared, other), error)
+def _weighted_square(
+    module: ModuleType, t: Any, error: Any, fixed: Any, side_b: Any, both_sides: Any
+) -> Any:
+    """The number rᵀ M⁻¹ r, M of `_total`."""
+    return unrolled.inverse_quadratic_form(_total(module, t, fixed, side_b, both_sides), error)
 
 
 @_weighted_square.defjvp
@@ -113,28 +183,38 @@ def _weighted_square_jvp(module: ModuleType, primals: Any, velocities: Any) -> t
 
     By hand, because the factorisation's own derivative takes a minute to compile.
     """
-    (t, error, shared, other), (velocity, error_dot, shared_dot, other_dot) = primals, velocities
-    w = unrolled.solve_symmetric(_total(module, t, shared, other), error)
+    t, error, fixed, side_b, both_sides = primals
+    velocity, error_dot, fixed_dot, side_b_dot, both_sides_dot = velocities
+    w = unrolled.solve_symmetric(_total(module, t, fixed, side_b, both_sides), error)
     adjoint = module.adjoint(t)
-    w_other = unrolled.apply(unrolled.transpose(adjoint), w)
-    carried = unrolled.apply(adjoint, unrolled.apply(unrolled.unpack(other), w_other))
+    back = unrolled.apply(unrolled.transpose(adjoint), w)
+    moved = unrolled.apply(unrolled.unpack(side_b), back)
+    by_covariance = _form(fixed_dot, w) + _form(side_b_dot, back)
+    if both_sides is not None:
+        sign, shared = both_sides
+        lever = tuple(x + sign * y for x, y in zip(w, back, strict=True))
+        also = unrolled.apply(unrolled.unpack(shared), lever)
+        moved = tuple(x + sign * y for x, y in zip(moved, also, strict=True))
+        by_covariance += _form(both_sides_dot[1], lever)
+    carried = unrolled.apply(adjoint, moved)
     turned = module.bracket(module.left_tangent(t, velocity), carried)
-    by_covariance = _form(shared_dot, w) + _form(other_dot, w_other)
     slope = 2.0 * (unrolled.dot(w, error_dot) - unrolled.dot(w, turned)) - by_covariance
-    return _weighted_square(module, t, error, shared, other), slope
+    return _weighted_square(module, *primals), slope
 
 
-def _total(module: ModuleType, t: Any, shared: Any, other: Any) -> unrolled.Matrix:
-    carried = module.adjoint_sandwich(t, unrolled.unpack(other))
-    return unrolled.add(unrolled.unpack(shared), carried)
+def _total(module: ModuleType, t: Any, fixed: Any, side_b: Any, both_sides: Any) -> unrolled.Matrix:
+    """M = fixed + Ad(T) B Ad(T)ᵀ + (I + s Ad(T)) O (I + s Ad(T))ᵀ, the last within one map."""
+    total = unrolled.add(
+        unrolled.unpack(fixed), module.adjoint_sandwich(t, unrolled.unpack(side_b))
+    )
+    if both_sides is None:
+        return total
+    sign, shared = both_sides
+    signed = tuple(tuple(unrolled.product(sign, x) for x in row) for row in module.adjoint(t))
+    lever = unrolled.add(unrolled.identity(len(signed)), signed)
+    return unrolled.add(total, unrolled.sandwich(lever, unrolled.unpack(shared)))
 
 
 def _form(packed: Any, vector: Any) -> Any:
     """The number vᵀ S v."""
     return unrolled.dot(vector, unrolled.apply(unrolled.unpack(packed), vector))
-
-
-def _gather(packed: Any, rows: Any, u: Any, v: Any) -> unrolled.Matrix:
-    """G of all pairs of a tile. The rows are the problem's own, so no index is checked."""
-    pairs = packed.at[:, rows[u][:, None], rows[v][None, :]].get(mode="promise_in_bounds")
-    return unrolled.unpack(pairs)

@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 
 from pcm_jax import lie
 from pcm_jax.consistency.problem import ConsistencyProblem
+from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
 
@@ -104,33 +105,65 @@ def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Float[Array, "m m"
     return jnp.where(jnp.eye(count, dtype=bool), 0.0, squared)
 
 
-def jacfwd_kernel(problem: ConsistencyProblem) -> Float[Array, "m m"]:
+def jacfwd_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Array, "m m"]:
     """q² of all ordered pairs by the definition; padding is computed like anything else."""
-    count = problem.valid.shape[0]
+    pair = _pair_within if isinstance(problem, WithinProblem) else _pair_between
+    return all_pairs(functools.partial(pair, problem), problem.valid.shape[0])
 
-    def relative_covariance(packed: Any, rows: Any, u: Any, v: Any, frame: Any) -> Any:
+
+def _pair_between(problem: ConsistencyProblem, u: Any, v: Any) -> Any:
+    """q²_uv of closures between two maps: two relative poses with independent errors."""
+
+    def relative_covariance(packed: Any, rows: Any, first: Any, last: Any, frame: Any) -> Any:
         """Covariance of the right perturbation of a relative pose that ends at `frame`.
 
         With X_i → exp(ξ_i) X_i it is x_ij → x_ij exp(Ad(X_j⁻¹)(ξ_j − ξ_i)).
         """
-        entries = unrolled.unpack(packed[:, rows[u], rows[v]])
         adjoint = lie.adjoint(lie.inverse(frame))
-        return adjoint @ jnp.stack([jnp.stack(row) for row in entries]) @ adjoint.T
+        return adjoint @ _unpacked(packed[:, rows[first], rows[last]]) @ adjoint.T
 
-    def pair(u: Any, v: Any) -> Any:
-        z_u, z_v = lie.take(problem.measurement, u), lie.take(problem.measurement, v)
-        x_i, x_j = lie.take(problem.pose_a, u), lie.take(problem.pose_a, v)
-        y_k, y_l = lie.take(problem.pose_b, u), lie.take(problem.pose_b, v)
-        covariances = (
-            problem.measurement_covariance[u],
-            relative_covariance(problem.relative_covariance_a, problem.row_a, u, v, x_j),
-            problem.measurement_covariance[v],
-            relative_covariance(problem.relative_covariance_b, problem.row_b, v, u, y_k),
-        )
-        arguments = (z_u, lie.between(x_i, x_j), z_v, lie.between(y_l, y_k))
-        return squared_error(loop_error, arguments, covariances)
+    (z_u, x_i, y_k), (z_v, x_j, y_l) = _closure(problem, u), _closure(problem, v)
+    covariances = (
+        problem.measurement_covariance[u],
+        relative_covariance(problem.relative_covariance_a, problem.row_a, u, v, x_j),
+        problem.measurement_covariance[v],
+        relative_covariance(problem.relative_covariance_b, problem.row_b, v, u, y_k),
+    )
+    arguments = (z_u, lie.between(x_i, x_j), z_v, lie.between(y_l, y_k))
+    return squared_error(loop_error, arguments, covariances)
 
-    return all_pairs(pair, count)
+
+def _pair_within(problem: WithinProblem, u: Any, v: Any) -> Any:
+    """q²_uv of closures within one map: four poses with one joint covariance."""
+
+    def error(z_u: Any, ends: Any, z_v: Any) -> Any:
+        x_i, x_j, x_k, x_l = ends
+        return loop_error(z_u, lie.between(x_i, x_j), z_v, lie.between(x_l, x_k))
+
+    (z_u, x_i, x_k), (z_v, x_j, x_l) = _closure(problem, u), _closure(problem, v)
+    ends = x_i, x_j, x_k, x_l
+    rows = [row[closure] for row in (problem.row_a, problem.row_b) for closure in (u, v)]
+    back = [lie.adjoint(lie.inverse(end)) for end in ends]
+    joint = [  # of right perturbations; Cov(x_p, x_q) = S_min(p, q) is that of left ones
+        [
+            back[p] @ _unpacked(problem.cumulated_covariance[:, jnp.minimum(*pair)]) @ back[q].T
+            for q, pair in enumerate((row, other) for other in rows)
+        ]
+        for p, row in enumerate(rows)
+    ]
+    noise = problem.measurement_covariance
+    return squared_error(error, (z_u, ends, z_v), (noise[u], jnp.block(joint), noise[v]))
+
+
+def _closure(problem: Any, index: Any) -> tuple[Any, Any, Any]:
+    """The measurement of a closure, and the poses it starts and ends at."""
+    transforms = problem.measurement, problem.pose_a, problem.pose_b
+    return tuple(lie.take(transform, index) for transform in transforms)
+
+
+def _unpacked(packed: Any) -> Any:
+    """The symmetric matrix `[d, d]` of packed entries."""
+    return jnp.stack([jnp.stack(row) for row in unrolled.unpack(packed)])
 
 
 def squared_mahalanobis_of(

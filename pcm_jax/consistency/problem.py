@@ -107,16 +107,16 @@ def consistency_problem(
     a = _one_map(map_a, np.asarray(closures.pose_a), side_a, "pose_a", "marginals[0]")
     b = _one_map(map_b, np.asarray(closures.pose_b), side_b, "pose_b", "marginals[1]")
     count = len(lie.parameters(closures.measurement))
-    size = _padded_size(count, closures=count)
+    size = padded_size(count, closures=count)
     covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
     if count == 0:
         d = lie.tangent_dim(group)
         covariance = np.broadcast_to(np.eye(d), (size, d, d))
     return ConsistencyProblem(
-        measurement=_padded(lie.as_numpy(closures.measurement), size),
+        measurement=padded(lie.as_numpy(closures.measurement), size),
         measurement_covariance=device_array(padding.pad_leading(covariance, size)),
-        pose_a=_padded(a.poses, size),
-        pose_b=_padded(b.poses, size),
+        pose_a=padded(a.poses, size),
+        pose_b=padded(b.poses, size),
         row_a=device_array(padding.pad_leading(a.rows, size), np.int32),
         row_b=device_array(padding.pad_leading(b.rows, size), np.int32),
         relative_covariance_a=device_array(a.relative_covariance),
@@ -140,7 +140,7 @@ def _one_map(
     poses = lie.as_numpy(pose_graph.poses)
     _check_indices(touching, len(lie.parameters(poses)), argument)
     touched, first, rows = np.unique(touching, return_index=True, return_inverse=True)
-    recentred = _recentred(lie.take(poses, touched))
+    moved = recentred(lie.take(poses, touched))
     if joint is not None:
         joint = _checked_joint(joint, len(touched) * lie.tangent_dim(poses), name)
     elif len(touched):
@@ -150,24 +150,24 @@ def _one_map(
     # In the order of first use, neighbouring closures read neighbouring rows of G.
     order = np.argsort(first)
     position = np.argsort(order)
-    size = _padded_size(len(touched), closures=len(touching))
-    covariance = relative_covariance(recentred, joint, order, size)
-    return _OneMap(lie.take(recentred, rows), position[rows], covariance)
+    size = padded_size(len(touched), closures=len(touching))
+    covariance = relative_covariance(moved, joint, order, size)
+    return _OneMap(lie.take(moved, rows), position[rows], covariance)
 
 
-def _padded_size(rows: int, *, closures: int) -> int:
+def padded_size(rows: int, *, closures: int) -> int:
     """Padded length of closures or of touched poses: one size for both while that is cheap."""
     rows = max(rows, min(closures, FINE_ABOVE))
     return padding.bucket(rows, smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
-def _recentred(poses: Any) -> Any:
-    """The poses with the mean of their positions as the origin."""
+def recentred(poses: Any, about: Any = slice(None)) -> Any:
+    """NumPy-backed poses `[n]`, the mean position of those indexed by `about` as their origin."""
     values = np.array(lie.parameters(poses))
-    if len(values) == 0:
-        return poses
     space = lie.module_of(lie.group_of(poses)).MATRIX_DIM - 1
-    values[:, -space:] -= values[:, -space:].mean(axis=0)
+    middle = values[about, -space:]
+    if len(middle):
+        values[:, -space:] -= middle.mean(axis=0)
     return lie.group_of(poses)(values)
 
 
@@ -201,7 +201,8 @@ def relative_covariance(
     return packed
 
 
-def _padded(transforms: Any, size: int) -> Any:
+def padded(transforms: Any, size: int) -> Any:
+    """A NumPy-backed batch as a device one of `size`, float64; the last element repeated."""
     return lie.as_device(lie.pad_leading(transforms, size))
 
 

@@ -1,0 +1,159 @@
+"""What Q needs to know of one robot's odometry and the loop closures inside its map: host, float64.
+
+Closure u measures pose k from an earlier pose i of the same robot, so that all four poses of a
+pair's loop come from one map and their errors correlate. The map here is the odometry chain alone,
+X_{s+1} = X_s z_s, whose joint covariance needs no factorisation: with left perturbations in the
+map's frame every step adds an independent error,
+
+    x_k = Σ_{s<k} Ad(X_{s+1}) δ_s,     S_k = Cov(x_k) = Σ_{s<k} Ad(X_{s+1}) Σ_s Ad(X_{s+1})ᵀ,
+    Cov(x_i, x_j) = S_min(i, j)
+
+and the covariance of any two steps' differences is a difference of S. Differences are what enters
+q², so S starts at the first touched pose, and the map's origin is moved to the mean of the touched
+poses, which keeps lever arms short; neither changes q².
+
+All closures are turned to start at the earlier of their two poses. Turned the other way, a pair's
+loop is another one, through the sum of the two closures' odometry instead of its difference: as
+well calibrated, but less sharp, since what both share then adds up and does not cancel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from pcm_jax import lie, padding
+from pcm_jax.consistency.problem import padded, padded_size, recentred
+from pcm_jax.errors import InputError
+from pcm_jax.lie import unrolled
+from pcm_jax.precision import device_array, in_float64
+
+if TYPE_CHECKING:
+    from pcm_jax.graph import PoseGraph
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class WithinProblem:
+    """The loop closures inside one robot's map, and the uncertainty of its odometry.
+
+    A pytree of arrays of padded sizes, as `ConsistencyProblem` is: `m` closures, `k` touched poses.
+
+    Attributes:
+        measurement: Lie `[m]`, z_u: pose b seen from pose a.
+        measurement_covariance: `[m, d, d]` of δ in z exp(δ); m², m rad, rad².
+        pose_a: Lie `[m]`, the pose each closure starts at, by odometry alone, the origin moved to
+            the mean of the touched poses.
+        pose_b: Lie `[m]`, the pose it ends at, likewise.
+        row_a: int32 `[m]`, the touched pose that it starts at. Rows are in the order of time.
+        row_b: int32 `[m]`, likewise.
+        cumulated_covariance: `[d(d+1)/2, k]`, S of the touched poses: what odometry has added since
+            the first of them, left perturbations in the frame of `pose_a`. Entries are the lower
+            triangle, row by row.
+        valid: bool `[m]`, false for padding.
+    """
+
+    measurement: Any
+    measurement_covariance: Float[Array, "m d d"]
+    pose_a: Any
+    pose_b: Any
+    row_a: Int[Array, " m"]
+    row_b: Int[Array, " m"]
+    cumulated_covariance: Float[Array, "packed k"]
+    valid: Bool[Array, " m"]
+
+
+@in_float64
+def within_problem(pose_graph: PoseGraph) -> WithinProblem:
+    """Gathers what Q needs of the loop closures inside one map: all edges but its odometry.
+
+    The poses are those that the odometry measurements add up to, whatever the graph's own are: an
+    optimised map has the closures in it that are in doubt.
+
+    Args:
+        pose_graph: a chain, see `odometry_edges`, with closures.
+
+    Returns:
+        Padded arrays on the device, float64; closures in the order of the graph's edges, each from
+        its earlier to its later pose.
+
+    Raises:
+        InputError: for consecutive poses that no edge joins.
+    """
+    odometry = odometry_edges(pose_graph)
+    closing = np.ones(pose_graph.num_edges, bool)
+    closing[odometry] = False
+    start, end, measurement, covariance = _forward(pose_graph, np.flatnonzero(closing))
+    touched, rows = np.unique(np.stack([start, end]), return_inverse=True)
+    rows = rows.reshape(2, -1)
+    poses, cumulated = _chain(pose_graph, odometry, touched)
+    count = len(start)
+    size = padded_size(count, closures=count)
+    cumulated = padding.pad_leading(cumulated, padded_size(len(touched), closures=count))
+    return WithinProblem(
+        measurement=padded(measurement, size),
+        measurement_covariance=device_array(padding.pad_leading(covariance, size)),
+        pose_a=padded(lie.take(poses, rows[0]), size),
+        pose_b=padded(lie.take(poses, rows[1]), size),
+        row_a=device_array(padding.pad_leading(rows[0], size), np.int32),
+        row_b=device_array(padding.pad_leading(rows[1], size), np.int32),
+        cumulated_covariance=device_array(cumulated.T),
+        valid=device_array(np.arange(size) < count, np.bool_),
+    )
+
+
+def odometry_edges(pose_graph: PoseGraph) -> Int[np.ndarray, " steps"]:
+    """The edge from each pose to the next, in either direction; the first of several.
+
+    Raises:
+        InputError: for consecutive poses that no edge joins.
+    """
+    tail, head = np.asarray(pose_graph.tail), np.asarray(pose_graph.head)
+    steps = np.flatnonzero(np.abs(tail - head) == 1)
+    joined, first = np.unique(np.minimum(tail, head)[steps], return_index=True)
+    missing = np.setdiff1d(np.arange(pose_graph.num_poses - 1), joined)
+    if missing.size:
+        before, after = (pose_graph.pose_name(int(missing[0]) + k) for k in (0, 1))
+        raise InputError(
+            f"map {pose_graph.name!r}: no edge joins poses {before} and {after}, expected odometry"
+            f" between all consecutive poses; split(pose_graph, [{missing[0] + 1}]) cuts it there"
+        )
+    return steps[first]
+
+
+def _forward(pose_graph: PoseGraph, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any, Any]:
+    """Earlier pose, later pose, measurement and covariance of edges, turned to run that way.
+
+    With z' = z⁻¹, an error z exp(δ) is z' exp(−Ad(z) δ).
+    """
+    tail, head = np.asarray(pose_graph.tail)[edges], np.asarray(pose_graph.head)[edges]
+    backward = (tail > head)[:, None]
+    stored = lie.take(lie.as_numpy(pose_graph.measurement), edges)
+    turned = np.where(backward, lie.parameters(lie.inverse(stored)), lie.parameters(stored))
+    covariance = np.linalg.inv(np.asarray(pose_graph.information)[edges])
+    adjoint = np.asarray(lie.adjoint(stored))
+    carried = adjoint @ covariance @ adjoint.swapaxes(1, 2)
+    covariance = np.where(backward[..., None], carried, covariance)
+    return np.minimum(tail, head), np.maximum(tail, head), pose_graph.group(turned), covariance
+
+
+def _chain(
+    pose_graph: PoseGraph, odometry: np.ndarray, touched: np.ndarray
+) -> tuple[Any, Float[np.ndarray, "k packed"]]:
+    """Touched poses of the composed odometry, recentred, and S of them, packed."""
+    from pcm_jax.graph import spanning_tree_poses
+
+    n, d = pose_graph.num_poses, pose_graph.tangent_dim
+    start, end, steps, covariance = _forward(pose_graph, odometry)
+    poses = recentred(spanning_tree_poses(start, end, steps, n), touched)
+    left = np.asarray(lie.adjoint(lie.take(poses, slice(1, None))))
+    added = left @ covariance @ left.swapaxes(1, 2)
+    rows, columns = np.transpose(unrolled.packed_indices(d))
+    added[: touched[0] if len(touched) else n] = 0.0
+    cumulated = np.zeros((n, len(rows)))
+    np.cumsum(added[:, rows, columns], axis=0, out=cumulated[1:])
+    return lie.take(poses, touched), cumulated[touched]
