@@ -65,7 +65,7 @@ class Setting(NamedTuple):
 
 
 TUNED = Setting()
-"""The setting of the sweep that comes nearest the paper's 98.97 % for PCM-HeuPatt."""
+"""Chosen among the sweep's settings to come near the paper's 98.97 % for PCM-HeuPatt."""
 PLAUSIBLE = Setting(10, 5, 10, 8.0, 20.0, 2.0, 0.99)
 """The simulation's own defaults at a calibrated gate: what one would choose without the paper."""
 SETTINGS = {"tuned": TUNED, "plausible": PLAUSIBLE}

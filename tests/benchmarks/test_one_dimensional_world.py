@@ -129,5 +129,6 @@ def test_who_gave_up_is_not_tried_again(tmp_path):
     steps = Steps(tmp_path, "options", ())
     results = solver_timing.time_solvers(Setting(), (64, 96, 128), 50, 0.0, 0, steps)
     assert all(timed["gave_up"] for timed in results[64].values())
-    assert [len(results[64][method]["seconds"]) for method in METHODS] == [0, 1, 1, 1, 1]
+    # Enumeration refuses 64, and the clique search is stopped; the others end late.
+    assert [len(results[64][method]["seconds"]) for method in METHODS] == [0, 0, 1, 1, 1]
     assert results[96] == results[128] == {}
