@@ -4,5 +4,6 @@ command   options that all have (--seeds, --jobs, --out), tasks in processes, th
 record    steps kept on disk, so that a run goes on where it was killed; CSV, progress
 cities    the two maps of one city and the true closures between them: a file's, or simulated
 one_dimensional   settings of the one-dimensional world, and selectors by batches
+drifting          worlds whose maps drift and close loops more or less, with outliers that are hard
 solver_timing     how long the methods take on one such world, and where they give up
 """
