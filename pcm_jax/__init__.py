@@ -30,7 +30,14 @@ if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
     from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge
-    from pcm_jax.selection import Selection, select, select_from
+    from pcm_jax.selection import (
+        Selection,
+        WithinSelection,
+        clean_maps,
+        select,
+        select_from,
+        select_within,
+    )
 
 __version__ = "0.1.0"
 
@@ -46,7 +53,9 @@ __all__ = [
     "PoseGraph",
     "Selection",
     "Solution",
+    "WithinSelection",
     "chi2_gate",
+    "clean_maps",
     "consistency_graph",
     "consistency_problem",
     "joint_marginal_covariance",
@@ -57,6 +66,7 @@ __all__ = [
     "read_trajectory",
     "select",
     "select_from",
+    "select_within",
     "split",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
@@ -80,7 +90,14 @@ _NAMES_OF = {
         "to_networkx",
     ),
     "clique": ("Clique", "maximum_clique"),
-    "selection": ("Selection", "select", "select_from"),
+    "selection": (
+        "Selection",
+        "WithinSelection",
+        "clean_maps",
+        "select",
+        "select_from",
+        "select_within",
+    ),
     "merging": ("MergeResult", "merge"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
