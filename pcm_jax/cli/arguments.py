@@ -116,7 +116,13 @@ def _merge(commands: Any) -> None:
         "--time-limit",
         type=_seconds,
         metavar="S",
-        help="seconds for each robot pair's clique search",
+        help="seconds for each robot pair's clique search (and each map's, see --clean-maps)",
+    )
+    merge.add_argument(
+        "--clean-maps",
+        action="store_true",
+        help="before that, drop loop closures inside each robot's own map by PCM, at the same "
+        "confidence: those that disagree with its odometry or among themselves",
     )
     _reading(merge)
     for name, what in (

@@ -38,7 +38,13 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
 
     start = time.perf_counter()
     graph = graph_to_merge(options)
-    read = time.perf_counter() - start
+    seconds = {"read": time.perf_counter() - start}
+    cleaned = {}
+    if options.clean_maps:
+        start = time.perf_counter()
+        progress(f"cleaning {len(graph.maps)} maps")
+        graph, cleaned["cleaned"] = _cleaned(graph, options)
+        seconds["clean"] = time.perf_counter() - start
     result = merge(
         graph,
         method=options.method,
@@ -48,7 +54,37 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
         progress=progress,
     )
     report = result.report()
-    return result, {**report, "seconds": {"read": read, **report["seconds"]}}
+    return result, {**report, **cleaned, "seconds": {**seconds, **report["seconds"]}}
+
+
+def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
+    """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
+    from pcm_jax.selection import clean_maps
+
+    limits = {"confidence": options.confidence, "time_limit": options.time_limit}
+    clean, selections = clean_maps(graph, **limits)
+    return clean, list(map(_cleaned_row, graph.maps, selections))
+
+
+def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
+    """What was decided of one map; one without a loop has no selection."""
+    rejected = [] if selection is None else (~selection.inliers).nonzero()[0].tolist()
+    closures = 0 if selection is None else len(selection.closures)
+    return {
+        "robot": pose_graph.name,
+        "measured": closures,
+        "accepted": closures - len(rejected),
+        "optimal": selection is None or selection.optimal,
+        "upper_bound": 0 if selection is None else selection.upper_bound,
+        "rejected": [
+            {
+                "a": pose_graph.pose_name(int(pose_graph.tail[edge])),
+                "b": pose_graph.pose_name(int(pose_graph.head[edge])),
+                "source": str(pose_graph.source[edge]),
+            }
+            for edge in rejected
+        ],
+    }
 
 
 def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
@@ -70,7 +106,14 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
 def summary(report: dict[str, Any]) -> str:
     """A report as the text that `pcm-jax merge` prints."""
     parts = [_robots(report), _pairs(report["robot_pairs"]), _fit(report["solution"])]
+    if "cleaned" in report:
+        parts.insert(0, _maps(report["cleaned"]))
     return "\n\n".join(parts)
+
+
+def _maps(cleaned: list[dict[str, Any]]) -> str:
+    rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
+    return table(["inside robot", "measured", "accepted", "largest set"], rows)
 
 
 def _robots(report: dict[str, Any]) -> str:

@@ -150,9 +150,13 @@ def clean_maps(
     Raises:
         InputError: as `select_within`.
     """
+    looped = [each.num_edges >= each.num_poses for each in graph.maps]
+    for each, has_loops in zip(graph.maps, looped, strict=True):
+        if has_loops:
+            odometry_edges(each)  # raises for any map before the first one takes its time
     selections = tuple(
-        select_within(each, **options) if each.num_edges >= each.num_poses else None
-        for each in graph.maps
+        select_within(each, **options) if has_loops else None
+        for each, has_loops in zip(graph.maps, looped, strict=True)
     )
     maps = tuple(
         each if selection is None else selection.graph

@@ -143,6 +143,72 @@ def test_split(run, plain_city, tmp_path):
     assert [c["source"] for c in written["closures"]] == halves.closures.source.tolist()
 
 
+@pytest.fixture(scope="module")
+def city_with_a_false_loop(city, tmp_path_factory):
+    """A pose of robot a said to be where another is, ten poses before."""
+    lines = (city / "graph.g2o").read_text().splitlines()
+    a = ord("a") << 56
+    false = f"EDGE_SE2 {a + 40} {a + 10} 0.3 -2 1 2500 0 0 2500 0 10000"
+    file = tmp_path_factory.mktemp("false") / "graph.g2o"
+    file.write_text("\n".join([*lines, false, ""]))
+    return file, len(lines) + 1
+
+
+def test_cleaning_the_maps_first(run, report, city_with_a_false_loop, tmp_path):
+    file, line = city_with_a_false_loop
+    ran = run("merge", file, "--clean-maps", "--report", tmp_path / "clean.json")
+    assert ran.status == 0
+    clean = json.loads((tmp_path / "clean.json").read_text())
+    a, b = clean["cleaned"]
+    assert list(a) == ["robot", "measured", "accepted", "optimal", "upper_bound", "rejected"]
+    assert (a["robot"], b["robot"], a["optimal"], b["optimal"]) == ("a", "b", True, True)
+    assert {"a": "a40", "b": "a10", "source": f"{file}:{line}"} in a["rejected"]
+    assert a["measured"] == 1 + report["robots"][0]["edges"] - 59
+    assert a["accepted"] == a["upper_bound"] == a["measured"] - len(a["rejected"])
+    assert [r["edges"] for r in clean["robots"]] == [59 + r["accepted"] for r in (a, b)]
+    accepted = [[c["accepted"] for c in each["closures"]] for each in (clean, report)]
+    assert accepted[0] == accepted[1]
+    assert clean["solution"]["normalized_chi2"] < 1.5
+    assert clean["seconds"]["clean"] > 0
+    lines = [text.split() for text in ran.out.splitlines()]
+    assert lines[0] == ["inside", "robot", "measured", "accepted", "largest", "set"]
+    assert lines[1] == ["a", str(a["measured"]), str(a["accepted"]), "proven"]
+
+
+def test_maps_are_not_cleaned_unasked(run, city_with_a_false_loop, tmp_path):
+    file, _ = city_with_a_false_loop
+    ran = run("merge", file, "--report", tmp_path / "dirty.json")
+    assert ran.status == 0
+    assert "inside robot" not in ran.out
+    dirty = json.loads((tmp_path / "dirty.json").read_text())
+    assert "cleaned" not in dirty
+    assert dirty["solution"]["normalized_chi2"] > 2
+
+
+def test_maps_without_loops_have_nothing_to_clean(run, tmp_path):
+    (tmp_path / "chains.g2o").write_text(CHAINS)
+    report = tmp_path / "report.json"
+    options = ["--minimum-inliers", 1, "--clean-maps", "--report", report]
+    assert run("merge", tmp_path / "chains.g2o", *options).status == 0
+    for row in json.loads(report.read_text())["cleaned"]:
+        assert (row["measured"], row["accepted"], row["rejected"]) == (0, 0, [])
+
+
+def test_a_broken_chain_cannot_be_cleaned(run, city_with_a_false_loop, tmp_path):
+    file, _ = city_with_a_false_loop
+    a = ord("a") << 56
+    kept = [
+        text
+        for text in file.read_text().splitlines()
+        if text.split()[1:3] != [str(a + 25), str(a + 26)]
+    ]
+    (tmp_path / "broken.g2o").write_text("\n".join([*kept, ""]))
+    ran = run("merge", tmp_path / "broken.g2o", "--clean-maps")
+    assert ran.status == 2
+    (line,) = ran.err.splitlines()
+    assert line.startswith("error: map 'a': no edge joins poses a25 and a26, expected odometry")
+
+
 def test_no_degree_of_freedom(run, tmp_path):
     """Two chains and one closure determine every pose once; null stands for no chi-squared."""
     (tmp_path / "chains.g2o").write_text(CHAINS)
