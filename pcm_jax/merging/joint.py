@@ -23,8 +23,10 @@ from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution, optimize
 from pcm_jax.precision import device_array
 
-PATIENCE = 30
-"""Steps of each attempt: consistent closures need fewer than ten."""
+PATIENCE = 15
+"""Evaluations of each attempt by Gauss-Newton: consistent closures need fewer than ten."""
+ON_THE_WAY, AT_LAST = 8, 30
+"""Evaluations of each solve of the incremental rebuild: of those that lead on, of the last."""
 
 
 def joint_graph(
@@ -114,8 +116,9 @@ def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solut
     while True:
         edges = np.concatenate([own, np.sort(order[:used])])
         kept = _with_edges(joint, edges).with_poses(solution.graph.poses)
+        steps = AT_LAST if used == closures else ON_THE_WAY
         solution = optimize(
-            kept, initial="given", method="levenberg-marquardt", engine=engine, max_steps=PATIENCE
+            kept, initial="given", method="levenberg-marquardt", engine=engine, max_steps=steps
         )
         iterations += solution.iterations
         if used == closures:
