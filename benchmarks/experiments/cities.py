@@ -1,15 +1,21 @@
-"""Two maps of one city, the true closures between them, and the truth: a file's, or simulated."""
+"""Two maps of one city, their true closures, the truth, and versions with false closures added.
+
+The city is a file's, or simulated. A version of the paper's experiment is 15 of the true closures,
+two aliased groups of 5, and 90 random ones; `Law` says how the false ones are drawn.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcm_jax import InputError, MultiRobotGraph, PoseGraph, lie, optimize, read_graph, split
-from pcm_jax.simulation import simulate_city
+from pcm_jax.precision import device_array
+from pcm_jax.simulation import SimulatedWorld, add_clutter, simulate_city
 
 NOISE = np.diag([0.02**2, 0.02**2, 0.01**2])
 """Covariance of every measurement in City10000, measured against its noise-free edges."""
@@ -29,6 +35,49 @@ class City(NamedTuple):
 
     graph: MultiRobotGraph
     truth: tuple[Any, ...]
+
+
+class Law(NamedTuple):
+    """How false closures are drawn, where that is not as `pcm_jax.simulation.outliers` has it.
+
+    Attributes:
+        random_range: metres between the two poses of a random closure; None: the whole city.
+        aliased_noise: times the true closures' noise, in those of the aliased groups.
+        random_sigma: random closures claim standard deviations of 1 to so many times the true
+            ones', log-uniform (the paper's random outliers of its 1-D world have random variances).
+    """
+
+    random_range: float | None = None
+    aliased_noise: float = 1.0
+    random_sigma: float = 1.0
+
+
+def version_of(city: City, law: Law, seed: int, number: int) -> SimulatedWorld:
+    """One version of the experiment."""
+    generator = np.random.default_rng([seed, number])
+    covariance = law.aliased_noise**2 * NOISE
+    world = add_clutter(
+        city.graph,
+        city.truth,
+        seed=generator,
+        covariance=covariance,
+        random_range=law.random_range,
+    )
+    if law.random_sigma == 1.0:
+        return world
+    closures = world.graph.closures
+    claimed = law.random_sigma ** generator.random(len(closures))
+    information = np.array(closures.information)
+    information[world.labels < 0] /= claimed[world.labels < 0, None, None] ** 2
+    clutter = dataclasses.replace(closures, information=device_array(information))
+    return world._replace(graph=MultiRobotGraph(world.graph.maps, clutter))
+
+
+def weakened(city: City, factor: float) -> City:
+    """The city with all covariances multiplied: the same optima, q² divided."""
+    maps = tuple(_with_information(one, lambda known: known / factor) for one in city.graph.maps)
+    closures = _with_information(city.graph.closures, lambda known: known / factor)
+    return city._replace(graph=MultiRobotGraph(maps, closures))
 
 
 def city_of_file(data: Path, truth: Path, poses: slice, information: str) -> City:
@@ -66,8 +115,8 @@ def simulated_city(poses: int, seed: int, information: str) -> City:
     world = simulate_city(seed=seed, poses=poses // 2, blocks=blocks, **counts)
     graph = world.graph
     if information == "as-written":
-        maps = tuple(_with_roots(one) for one in graph.maps)
-        graph = MultiRobotGraph(maps, _with_roots(graph.closures))
+        maps = tuple(_with_information(one, np.sqrt) for one in graph.maps)
+        graph = MultiRobotGraph(maps, _with_information(graph.closures, np.sqrt))
     return _prepared(graph, world.truth)
 
 
@@ -76,8 +125,10 @@ def _portion(graph: PoseGraph, start: int, stop: int) -> PoseGraph:
     return split(graph, cuts).maps[int(start > 0)] if cuts else graph
 
 
-def _with_roots(edges: Any) -> Any:
-    return dataclasses.replace(edges, information=np.sqrt(np.asarray(edges.information)))
+def _with_information(edges: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
+    """Edges with other information; a root is taken entry by entry, as diagonal matrices allow."""
+    information = change(np.asarray(edges.information))
+    return dataclasses.replace(edges, information=device_array(information))
 
 
 def _prepared(graph: MultiRobotGraph, truth: tuple[Any, ...]) -> City:

@@ -75,12 +75,13 @@ def _computed(tasks: Mapping[str, Task], jobs: int) -> Any:
             raise
 
 
-def write_run(out: Path, options: argparse.Namespace, start: float) -> None:
-    """run.json: the options, the machine, and the seconds since `start` (`time.perf_counter`)."""
+def write_run(out: Path, options: argparse.Namespace, start: float, **more: Any) -> None:
+    """run.json: options, machine, the seconds since `start` (`time.perf_counter`), and `more`."""
     given = {name: _plain(value) for name, value in vars(options).items() if name != "out"}
     entry = {
         "options": given,
         "seconds": round(time.perf_counter() - start, 1),
+        **more,
         "machine": machine(),
     }
     write_json(out / "run.json", entry)

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 from benchmarks import city
-from benchmarks.experiments.cities import city_of_file
-from pcm_jax import InputError, lie
+from benchmarks.experiments import city_report
+from benchmarks.experiments.cities import (
+    Law,
+    city_of_file,
+    simulated_city,
+    version_of,
+    weakened,
+)
+from benchmarks.experiments.command import run_tasks
+from benchmarks.experiments.record import Steps
+from pcm_jax import InputError, lie, select
 from pcm_jax.evaluation.metrics import ate_rmse
 
 CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
@@ -19,49 +29,125 @@ CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
 @pytest.fixture
 def without_data(monkeypatch, tmp_path):
     monkeypatch.setattr(city, "CITY", tmp_path / "absent.g2o")
-    monkeypatch.setattr(city, "_sources", list)  # edits during a test are no reason to start anew
+    monkeypatch.setattr(city, "sources", list)  # edits during a test are no reason to start anew
 
 
 def run(folder, *options):
-    assert city.main(["--poses", "0:600", "--out", str(folder), *options]) == 0
+    assert city.main(["--poses", "0:400", "--out", str(folder), *options]) == 0
     return json.loads((folder / "summary.json").read_text())
 
 
 @pytest.mark.usefixtures("without_data")
-def test_shape_of_the_table_and_resuming(tmp_path, monkeypatch):
-    summary = run(tmp_path, "--versions", "2")
-    assert set(summary) == set(city.METHODS)
+def test_table_maps_and_resuming(tmp_path, monkeypatch):
+    options = ["--rows", "paper", "--no-sweep", "--versions", "2"]
+    summary = run(tmp_path, *options)
+    assert list(summary) == list(city.PAPER)
     assert all(set(row) >= CONTRACT for row in summary.values())
-    truth, everything = summary["no-outliers"], summary["everything"]
-    assert (truth["tpr"], truth["fpr"]) == (1.0, 0.0)
+    truth = summary["no-outliers"]
+    assert (truth["tpr"], truth["fpr"], truth["aliased"], truth["random"]) == (1.0, 0.0, 0.0, 0.0)
     assert truth["translation_mse_from_reference"] < 1e-12
-    assert (everything["tpr"], everything["fpr"]) == (1.0, 1.0)
-    assert everything["translation_mse"] > 100 * truth["translation_mse"]
-    assert everything["chi2"] > 100 * truth["chi2"]
     for name in ("pcm-exact-11", "pcm-heuristic-11"):
         assert summary[name]["tpr"] > 0.9
         assert summary[name]["fpr"] < 0.01
         assert summary[name]["translation_mse"] < 2.0 * truth["translation_mse"] + 0.1
     assert summary["dcs"]["tpr"] == 0.0
     with (tmp_path / "versions.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 2 * len(city.METHODS)
+        assert len(list(csv.DictReader(file))) == 2 * len(city.PAPER)
+    written = (tmp_path / "table.md").read_text().splitlines()
+    assert len(written) == 2 + len(city.PAPER) + 2
+    assert (tmp_path / "maps.png").stat().st_size > 10_000
+    assert not (tmp_path / "sweep.json").exists()
 
     def never(*_):
         raise RuntimeError("a version that is kept is not run again")
 
     monkeypatch.setattr(city, "run_version", never)
-    assert run(tmp_path, "--versions", "2") == summary
+    assert run(tmp_path, *options) == summary
     with pytest.raises(RuntimeError, match="is kept"):
-        run(tmp_path, "--versions", "2", "--seeds", "1")
+        run(tmp_path, *options, "--seeds", "1")
 
 
 @pytest.mark.usefixtures("without_data")
-def test_calibrated_information_wants_a_calibrated_gate(tmp_path):
-    summary = run(tmp_path, "--versions", "1", "--information", "sqrt")
-    assert summary["pcm-exact-99"]["tpr"] > 0.9
-    assert summary["pcm-exact-99"]["fpr"] < 0.01
-    assert summary["pcm-exact-11"]["tpr"] < 0.7
-    assert 0.7 < summary["no-outliers"]["chi2"] < 1.3
+def test_the_sweep_of_gates(tmp_path, monkeypatch):
+    gates = np.array([0.01, 0.35, 0.99])
+    few = {k: v for k, v in city_report.SWEEP.items() if v.confidence in gates}
+    monkeypatch.setattr(city_report, "GATES", gates)
+    monkeypatch.setattr(city, "SWEEP", few)
+    run(tmp_path, "--rows", "paper", "--versions", "1", "--information", "sqrt")
+    sweep = json.loads((tmp_path / "sweep.json").read_text())
+    assert sweep["confidence"] == gates.tolist()
+    assert set(sweep["methods"]) == {"pcm-exact", "pcm-heuristic", "ransac"}
+    exact = sweep["methods"]["pcm-exact"]
+    assert exact["tpr"] == sorted(exact["tpr"])  # calibrated: wide enough only at the end
+    assert exact["tpr"][0] < 0.5 < 0.9 < exact["tpr"][-1]
+    assert exact["fpr"][-1] == 0.0
+    assert 0.7 < exact["chi2"][-1] < 1.3
+    with (tmp_path / "sweep.csv").open() as file:
+        assert [float(row["tpr"]) for row in csv.DictReader(file)][:3] == exact["tpr"]
+    assert (tmp_path / "sweep.png").stat().st_size > 5_000
+
+
+def test_the_rows_beyond_the_paper():
+    """A version of the contract's rows and more; everything accepted is the worst there is."""
+    source = city.Source(None, None, 0, 400, "sqrt")
+    rows = city.ROWS["all"]
+    assert set(rows) >= set(city.PAPER) | {"pcm-exact-99", "dcs-true-start", "gnc", "everything"}
+    few = {name: rows[name] for name in ("no-outliers", "pcm-exact-99", "everything")}
+    figures = city.run_version(source, city.Comparison(few), 0, 0)["methods"]
+    truth, calibrated, everything = figures.values()
+    assert calibrated["tpr"] > 0.9
+    assert calibrated["fpr"] < 0.01
+    assert (everything["tpr"], everything["fpr"]) == (1.0, 1.0)
+    assert (everything["aliased"], everything["random"]) == (10.0, 90.0)
+    assert everything["translation_mse"] > 100 * truth["translation_mse"]
+    assert everything["chi2"] > 100 * truth["chi2"]
+
+
+def test_processes_give_what_one_does(tmp_path):
+    source = city.Source(None, None, 0, 400, "sqrt")
+    few = city.Comparison({name: city.ROWS["all"][name] for name in ("ransac-99", "pcm-exact-99")})
+    tasks = {f"0-{k}": partial(city.run_version, source, few, 0, k) for k in range(2)}
+    one, two = (
+        run_tasks("versions", tasks, Steps(tmp_path / str(jobs), (source, few), []), jobs=jobs)
+        for jobs in (1, 2)
+    )
+    for (name, row), (_, other) in zip(*map(rows_of, (one, two)), strict=True):
+        assert row.keys() == other.keys()
+        for figure in row.keys() - {"seconds"}:
+            assert other[figure] == pytest.approx(row[figure], rel=1e-6, abs=1e-9), (name, figure)
+
+
+def rows_of(results):
+    return [
+        ((run, name), row)
+        for run in sorted(results)
+        for name, row in results[run]["methods"].items()
+    ]
+
+
+def test_the_laws_of_false_closures():
+    home = simulated_city(400, 0, "sqrt")
+    plain = version_of(home, Law(), 0, 1)
+    near = version_of(home, Law(random_range=2.0), 0, 1)
+    loud = version_of(home, Law(random_sigma=10.0), 0, 1)
+    random = plain.labels < 0
+    assert random.sum() == 90
+    reach = np.linalg.norm(lie.translation(lie.as_numpy(near.graph.closures.measurement)), axis=1)
+    assert reach[near.labels < 0].max() <= 2.0
+    claimed = np.asarray(loud.graph.closures.information)[:, 0, 0]
+    known = np.asarray(plain.graph.closures.information)[:, 0, 0]
+    np.testing.assert_array_equal(claimed[~random], known[~random])
+    ratio = np.sqrt(known / claimed)[random]
+    assert 1.0 <= ratio.min() < 2.0 < 5.0 < ratio.max() <= 10.0
+
+
+def test_weaker_information_divides_the_squared_distances():
+    home = simulated_city(400, 0, "sqrt")
+    squared = [
+        select(version_of(one, Law(), 0, 0).graph, method="ransac", optimized=True).pairs[0].squared
+        for one in (home, weakened(home, 6.0))
+    ]
+    np.testing.assert_allclose(squared[1], squared[0] / 6.0, rtol=1e-6)
 
 
 def test_a_portion_of_the_real_city(shared_data):
