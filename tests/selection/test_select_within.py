@@ -173,6 +173,19 @@ def test_cleaning_all_maps(dirty, odometry_alone, selection):
     assert [one.num_edges for one in graph.maps] == [selection.inliers.sum(), POSES - 1]
 
 
+def test_a_broken_chain_is_named_before_any_work(dirty, monkeypatch):
+    looped = PoseGraph.from_arrays(
+        tail=[0, 0, 1, 2],
+        head=[1, 2, 3, 3],
+        measurement=lie.identity(jaxlie.SE2, (4,)),
+        information=np.tile(np.eye(3), (4, 1, 1)),
+        name="dave",
+    )
+    monkeypatch.setattr("pcm_jax.selection.within_one_map.select_within", pytest.fail)
+    with pytest.raises(InputError, match="map 'dave': no edge joins poses dave1 and dave2"):
+        clean_maps(MultiRobotGraph((dirty[0], looped)))
+
+
 def test_without_64_bit_types(dirty, selection):
     with jax.enable_x64(False):
         narrow = select_within(dirty[0])
