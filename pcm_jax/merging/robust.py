@@ -5,8 +5,8 @@ The robots that candidate closures connect are solved as one graph. In turn, unt
     1. χ² = rᵀΩr of every closure at the present poses;
     2. a kernel of `robust_weights` turns χ² into factors w of the closures' information;
     3. the graph with information wΩ is relinearised and solved: one step where the weights change
-       smoothly (DCS, switchable constraints), to the end where they switch or follow a schedule
-       (max-mixture, graduated non-convexity).
+       smoothly (DCS, switchable constraints), a few where they follow a schedule (graduated
+       non-convexity), to the end where they switch (max-mixture).
 
 Only numbers change from turn to turn: one sparsity pattern, one compilation. A closure is accepted
 if in the end w ≥ 1/4, that is s = √w ≥ 1/2. Unlike the methods that select beforehand, all of these

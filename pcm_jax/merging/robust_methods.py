@@ -26,6 +26,8 @@ ACCEPTED_SCALE = 0.5
 ONE_STEP = 2
 """Evaluations: of the start, and of where the step led."""
 TO_THE_END = 30
+GRADUALLY = 10
+"""Evaluations where the next turn's weights are others anyway; the last turns need fewer."""
 GROWTH = 1.4
 """Of μ from turn to turn (Yang et al. 2020)."""
 START_OPTIONS = ("initial", "anchors")
@@ -131,7 +133,7 @@ def gnc(gate: float, dof: int) -> Reweighting:
         control = GROWTH * control if control else gate / excess
         return truncated_weight(squared, gate, control), control
 
-    return Reweighting(update, TO_THE_END, binary=True)
+    return Reweighting(update, GRADUALLY, binary=True)
 
 
 ROBUST_METHODS: dict[str, Callable[..., Reweighting]] = {
