@@ -104,7 +104,8 @@ class Comparison(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
-    start, source = time.perf_counter(), source_of(parser, options)
+    law = Law(options.random_range, options.aliased_noise, options.random_sigma)
+    start, source = time.perf_counter(), source_of(parser, options)._replace(law=law)
     comparison = Comparison(ROWS[options.rows], not options.no_sweep, options.engine)
     options.out.mkdir(parents=True, exist_ok=True)
     steps = Steps(options.out / "steps", (source, comparison), sources())
@@ -174,17 +175,16 @@ def _draw_telling(path: Path, source: Source, versions: Mapping[str, Any]) -> No
 
 
 def source_of(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Source:
-    """The source that the options name."""
-    law = Law(options.random_range, options.aliased_noise, options.random_sigma)
-    portion, rest = options.poses, (options.information, law)
+    """The source that the options of `add_city_options` name."""
+    portion = options.poses
     if options.simulated or (options.data is None and not CITY.exists()):
         start, stop, _ = portion.indices(portion.stop or 2_000)
-        return Source(None, None, start, stop, *rest)
+        return Source(None, None, start, stop, options.information)
     data = options.data or CITY
     truth = options.truth or next(iter(sorted(data.parent.glob(TRUTH))), None)
     if truth is None:
         parser.error(f"--truth: none given, expected a file {TRUTH} beside {data}")
-    return Source(data, truth, portion.start or 0, portion.stop, *rest)
+    return Source(data, truth, portion.start or 0, portion.stop, options.information)
 
 
 def sources() -> list[Path]:
