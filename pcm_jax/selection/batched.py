@@ -1,15 +1,15 @@
 """The selection methods as pure kernels, for many small problems at once.
 
 Each takes one matrix and returns one mask; the shape alone fixes the work, so that worlds are
-batched by `vmap` (`select_batched` does it, in blocks that fit into cache). With the same rules for
+batched by `vmap` (`select_batched` does it, in blocks that fit into cache; PCM-Exact, whose work
+depends on the world, gets all worlds at once and shares them out itself). With the same rules for
 ties as the host's methods of the same names, they return the same sets:
 
 - combinatorial: all subsets of the first half and all of the second, 2^(m/2) each, meet in the
   middle. With N(v) the measurements consistent with v, the largest set within S is found for all S
   of the second half by `f(S ∪ {v}) = max(f(S), 1 + f(S ∩ N(v)))`, and a consistent set T of the
   first half goes on with `f(∩ N(t), t in T)`. Of equal sets, the lexicographically smallest.
-- PCM-Exact: depth first over bit sets in the order of the indices, a branch cut where even all of
-  its candidates would not improve. The first largest set met is the lexicographically smallest.
+- PCM-Exact: `maximum_clique_batched`.
 - PCM-HeuPatt: candidates only ever leave, so one sweep in the order of falling degree takes from
   every start at once what the greedy rule would.
 - RANSAC, SCGP: as in `ransac` and `scgp`.
@@ -18,17 +18,20 @@ ties as the host's methods of the same names, they return the same sets:
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt32
 
+from pcm_jax.clique import maximum_clique_batched
 from pcm_jax.consistency import consistency_graph
 from pcm_jax.errors import InputError
 
 WORD = 32
+EXACT_LIMIT = 64
 _BLOCK = 1 << 20  # entries of the largest array within a block of worlds
 
 
@@ -47,20 +50,19 @@ def select_batched(
         bool [..., m], what `select_from` returns for each matrix in the same precision.
 
     Raises:
-        InputError: an unknown method, or more than 32 measurements for
-            `"combinatorial"` or `"pcm-exact"`.
+        InputError: an unknown method, or more measurements than 32 for `"combinatorial"` or
+            64 for `"pcm-exact"`.
     """
     if method not in KERNELS:
         raise InputError(f"method: {method!r}, expected one of {', '.join(KERNELS)}")
     *batch, m, _ = squared.shape
     if m == 0:
         return jnp.zeros((*batch, 0), bool)
+    worlds = squared.reshape(-1, m, m)
     widest = max(m * m, 1 << m // 2) if method == "combinatorial" else m * m
-    members = jax.lax.map(
-        lambda one: KERNELS[method](one, gate, **options),
-        squared.reshape(-1, m, m),
-        batch_size=max(1, _BLOCK // widest),
-    )
+    block = len(worlds) if method == "pcm-exact" else max(1, _BLOCK // widest)
+    kernel = partial(KERNELS[method], gate=gate, **options)
+    members = jax.lax.map(kernel, worlds, batch_size=block)
     return members.reshape(*batch, m)
 
 
@@ -92,48 +94,10 @@ def combinatorial(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
     return jnp.concatenate(halves) & weight.astype(np.uint32) != 0
 
 
-class _Search(NamedTuple):
-    """A depth-first search; entries of the stacks beyond `depth` are leftovers."""
-
-    depth: Array  # vertices chosen; -1 at the end
-    candidates: UInt32[Array, " m+1"]
-    chosen: UInt32[Array, " m+1"]
-    best: Array
-    best_size: Array
-
-
 def pcm_exact(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
-    """The largest pairwise consistent set by branch and bound, m ≤ 32."""
-    m = _at_most(WORD, squared, "pcm-exact")
-    graph = consistency_graph(squared, gate)
-    bit = np.uint32(1) << np.arange(m, dtype=np.uint32)
-    neighbours = _words(graph, bit)
-    levels = np.arange(m + 1)
-
-    def step(state: _Search) -> _Search:
-        depth, candidates, chosen, best, best_size = state
-        here = candidates[depth]
-        first = here & -here
-        rest = here ^ first
-        hopeless = depth + jax.lax.population_count(here).astype(depth.dtype) <= best_size
-        inside = rest & neighbours[_index(first)]
-        with_first = chosen[depth] | first
-        below = (levels == depth + 1) & ~hopeless
-        better = ~hopeless & (depth + 1 > best_size)
-        return _Search(
-            jnp.where(hopeless, depth - 1, depth + 1),
-            jnp.where(below, inside, jnp.where((levels == depth) & ~hopeless, rest, candidates)),
-            jnp.where(below, with_first, chosen),
-            jnp.where(better, with_first, best),
-            jnp.where(better, depth + 1, best_size),
-        )
-
-    # One less than a set that exists: the first of the largest sets is still an improvement.
-    floor = jnp.sum(_greedy(graph), dtype=jnp.int32) - 1
-    empty = jnp.zeros(m + 1, jnp.uint32)
-    everything = np.uint32((1 << m) - 1)
-    start = _Search(jnp.int32(0), empty.at[0].set(everything), empty, jnp.uint32(0), floor)
-    return jax.lax.while_loop(lambda state: state.depth >= 0, step, start).best & bit != 0
+    """The largest pairwise consistent set by branch and bound, m ≤ 64."""
+    _at_most(EXACT_LIMIT, squared, "pcm-exact")
+    return maximum_clique_batched(consistency_graph(squared, gate)).members
 
 
 def pcm_heuristic(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
@@ -190,11 +154,6 @@ def _symmetrised(squared: Float[Array, "m m"]) -> Float[Array, "m m"]:
 def _words(rows: Bool[Array, "m m"], weight: Any) -> UInt32[Array, " m"]:
     """Each row as a bit set; different bits add without a carry."""
     return jnp.sum(jnp.where(rows, weight.astype(np.uint32), 0), axis=1, dtype=jnp.uint32)
-
-
-def _index(single: Array) -> Array:
-    """The position of the one bit that is set."""
-    return WORD - 1 - jax.lax.clz(single)
 
 
 def _at_most(limit: int, squared: Any, method: str) -> int:
