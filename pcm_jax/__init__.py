@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pcm_jax.files import read_graph, read_trajectory, write_g2o, write_trajectory
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
     from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
-    from pcm_jax.merging import MergeResult, merge
+    from pcm_jax.merging import MergeResult, merge, merge_differentiable
     from pcm_jax.selection import (
         Selection,
         WithinSelection,
@@ -61,6 +61,7 @@ __all__ = [
     "joint_marginal_covariance",
     "maximum_clique",
     "merge",
+    "merge_differentiable",
     "optimize",
     "read_graph",
     "read_trajectory",
@@ -98,7 +99,7 @@ _NAMES_OF = {
         "select_from",
         "select_within",
     ),
-    "merging": ("MergeResult", "merge"),
+    "merging": ("MergeResult", "merge", "merge_differentiable"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 

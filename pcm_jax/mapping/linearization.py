@@ -91,21 +91,40 @@ def whitened_residual(poses: Any, edges: Edges) -> Float[Array, "d e"]:
     return multiply(edges.whitening, jnp.stack(residual)[:, None])[:, 0]
 
 
-def linearize(poses: Any, edges: Edges) -> EdgeJacobians:
-    """Whitened residuals and their derivatives by right perturbations of the poses."""
+class Slopes(NamedTuple):
+    """Residuals and how they change with x = X_i⁻¹ X_j, no edge weighed.
+
+    Attributes:
+        residual: `[d, e]`, r.
+        slope: `[d, d, e]`, Jr⁻¹(r): r by a right perturbation of x.
+        transport: `[d, d, e]`, Ad(x⁻¹): what a right perturbation of X_i is to x, negated.
+    """
+
+    residual: Float[Array, "d e"]
+    slope: Float[Array, "d d e"]
+    transport: Float[Array, "d d e"]
+
+
+def slopes(poses: Any, edges: Edges) -> Slopes:
+    """Unwhitened residuals and the two factors of their derivatives."""
     group = lie.module_of(lie.group_of(poses))
     always = edges.tail[0] >= 0
 
-    def factors(relative: Any, residual: Any) -> Any:
+    def factors(relative: Any, residual: Any) -> Slopes:
         slope = _dense(group.right_jacobian_inverse(residual), residual[0])
         transport = _dense(group.adjoint(group.inverse(relative)), residual[0])
-        return slope, transport, jnp.stack(residual)[:, None]
+        return Slopes(jnp.stack(residual), slope, transport)
 
-    relative, residual = apart(always, _relative, poses, edges)
-    slope, transport, residual = apart(always, factors, relative, residual)
+    return apart(always, factors, *apart(always, _relative, poses, edges))
+
+
+def linearize(poses: Any, edges: Edges) -> EdgeJacobians:
+    """Whitened residuals and their derivatives by right perturbations of the poses."""
+    always = edges.tail[0] >= 0
+    residual, slope, transport = slopes(poses, edges)
     by_head = apart(always, multiply, edges.whitening, slope)
     by_tail = apart(always, multiply, -by_head, transport)
-    return EdgeJacobians(multiply(edges.whitening, residual)[:, 0], by_tail, by_head)
+    return EdgeJacobians(multiply(edges.whitening, residual[:, None])[:, 0], by_tail, by_head)
 
 
 def _dense(matrix: Any, like: Array) -> Float[Array, "i j e"]:

@@ -136,6 +136,11 @@ def system_for(
     )
 
 
+def system_of(handle: Any) -> System:
+    """The system that a handle names, which somebody has kept."""
+    return _systems[int(np.asarray(handle))]
+
+
 class BlockJacobian(lx.AbstractLinearOperator):
     """The Jacobian of all whitened residuals `[d, e]` by right perturbations `[n, d]`.
 
@@ -233,7 +238,7 @@ def _solve_on_host(
 ) -> None:
     """Body of the callback: δ into the buffer `step`, NaN if there is no factor."""
     del context
-    system = _systems[int(np.asarray(handle))]
+    system = system_of(handle)
     out = np.asarray(step)
     try:
         factor = system.factorize(

@@ -7,11 +7,20 @@ robust      the same, of all closures, scaled by how well they fit; robust_metho
             robust_weights: their kernels
 result      `MergeResult`: maps, anchors, groups; its report
 merge       `merge`, what users call: select, group, align, solve
+differentiable     `merge_differentiable`: the same solve as one traced function, with derivatives
 """
 
+from pcm_jax.merging.differentiable import merge_differentiable
 from pcm_jax.merging.merge import merge
 from pcm_jax.merging.result import MergeResult, MergeSolution
 from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.merging.robust_methods import ROBUST_METHODS
 
-__all__ = ["ROBUST_METHODS", "MergeResult", "MergeSolution", "RobustSolution", "merge"]
+__all__ = [
+    "ROBUST_METHODS",
+    "MergeResult",
+    "MergeSolution",
+    "RobustSolution",
+    "merge",
+    "merge_differentiable",
+]

@@ -1,0 +1,258 @@
+"""The merged map as a differentiable function of closures, information and soft weights.
+
+One compiled program, everything in it traced: the maps are aligned by their closures, solved
+together by Gauss-Newton as in `joint`, and the derivatives follow from the optimum itself
+(`mapping.implicit`), not from the steps that led to it.
+
+The gauge. A closure of weight zero joins nothing, so which robots hang together is known at run
+time only. One more pose, the world's, stands fixed at the origin, and an edge from it to each
+robot's first pose holds the first robot of every group where its own map has it. All else is free
+to move with that robot, so these edges end up without residual, whatever their weight.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.graph import LoopClosures, MultiRobotGraph
+from pcm_jax.mapping.least_squares import METHODS, padded_size
+
+MOST_COMPARED = 256
+"""Closures of a pair, the weightiest, among which the medoid is sought."""
+
+
+def merge_differentiable(
+    graph: MultiRobotGraph, weights: Float[Array, " m"], *, solver: str = "gauss-newton"
+) -> tuple[Any, ...]:
+    """Merges the maps by weighted closures; differentiable, forward and reverse.
+
+    Finds the poses of least cost 0.5 Σ rᵀΩr over the maps' edges plus 0.5 Σ w rᵀΩr over the
+    closures, r = Log(z⁻¹ X_i⁻¹ X_j), starting from the maps' poses, aligned by the closures. So
+    the maps should be near their optimum, as `optimize` leaves them, and the weights should favour
+    closures that agree.
+
+    Safe under jit, vmap (problems are solved one after the other), grad, jvp, and their
+    compositions, with the graph closed over or as an argument. Derivatives are those of the exact
+    optimum, by the implicit function theorem, with respect to:
+
+    - `weights`, also at zero;
+    - information of closures and maps, `[·, d, d]`;
+    - measurements of closures and maps. A transform's parameters do not vary freely, so vary a
+      right perturbation δ instead, at zero:
+
+            def loss(delta):  # [m, d]
+                z = lie.compose(closures.measurement, lie.exp(closures.group, delta))
+                moved = dataclasses.replace(closures, measurement=z)
+                merged = merge_differentiable(MultiRobotGraph(graph.maps, moved), weights)
+                ...
+
+            jax.grad(loss)(jnp.zeros((m, d)))
+
+    - each group's first pose, which the whole group follows. All other poses are a start only, and
+      have derivative zero.
+
+    Args:
+        graph: maps and all candidate closures. Structure (robots, poses and edges) may be traced;
+            sizes are static.
+        weights: `[m]`, at least 0, factor of each closure's information. Where it is 0 the closure
+            counts as absent.
+        solver: "gauss-newton", or "levenberg-marquardt" where the start is poor.
+
+    Returns:
+        For each robot its poses, Lie `[n]`. Robots that closures of positive weight connect share
+        the frame of the group's first robot, whose first pose stays where its own map has it; a
+        robot that none connects stays in its own frame. Between robots of different groups a
+        weight's derivative is zero, since the map is not continuous there.
+
+        All poses are NaN where the solve did not converge to a minimum (contradicting weights, or
+        input that is not finite or not positive definite). Nothing flows back from those:
+        their derivatives are zero, so that one bad problem in a batch spoils no gradient if
+        its loss is masked by `jnp.where`.
+
+    Raises:
+        InputError: for an unknown solver, or another number of weights than closures.
+    """
+    if solver not in METHODS:
+        raise InputError(f"solver: {solver!r} given, expected one of {', '.join(METHODS)}")
+    count = len(graph.closures)
+    if jnp.shape(weights) != (count,):
+        raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")
+    with lie.own_precision(graph):
+        return _merged(solver, graph, jnp.asarray(weights, graph.closures.information.dtype))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _merged(solver: str, graph: MultiRobotGraph, weights: Float[Array, " m"]) -> tuple[Any, ...]:
+    from pcm_jax.mapping.implicit import Data, optimum, pattern_of
+
+    maps, closures, d = graph.maps, graph.closures, graph.tangent_dim
+    first = np.cumsum([0, *(one.num_poses for one in maps)])
+    world = int(first[-1])
+    placing = jax.lax.stop_gradient(_placing(graph, weights))
+    tail, head = _ends(graph, first)
+    size = padded_size(world + 1, len(tail))
+    pattern = pattern_of(tail, head, poses=world + 1, size=size, block_dim=d)
+    together = placing.group[closures.robot_a] == placing.group[closures.robot_b]
+    # The gauge's edges weigh as much as the strongest measurement: any weight gives one optimum.
+    stiffness = jax.lax.stop_gradient(jnp.max(jnp.concatenate([_strengths(graph), jnp.ones(1)])))
+    leads = placing.group == jnp.arange(len(maps))
+    data = Data(
+        _padded([*(one.measurement for one in maps), closures.measurement, _firsts(graph)], size),
+        _stacked(
+            [*(one.information for one in maps), closures.information],
+            jnp.eye(d, dtype=weights.dtype),
+            size,
+        ),
+        _stacked(
+            [
+                *(jnp.ones(one.num_edges, weights.dtype) for one in maps),
+                jnp.where(together | ~(weights >= 0.0), weights, 0.0),  # NaN is not passed over
+                jnp.where(leads, stiffness, 0.0),
+            ],
+            jnp.zeros((), weights.dtype),
+            size,
+        ),
+    )
+    aligned = [
+        lie.compose(lie.take(placing.anchors, np.full(one.num_poses, robot)), one.poses)
+        for robot, one in enumerate(maps)
+    ]
+    start = jax.lax.stop_gradient(_padded(aligned, size))
+    poses, converged = optimum(solver, pattern, start, data)
+    values = jnp.where(converged, lie.parameters(poses), jnp.nan)
+    return tuple(graph.group(values[first[robot] : first[robot + 1]]) for robot in range(len(maps)))
+
+
+def _ends(graph: MultiRobotGraph, first: np.ndarray) -> tuple[Array, Array]:
+    """Tail and head of all edges in the joint graph: the maps', the closures', the gauge's."""
+    closures, robots = graph.closures, len(graph.maps)
+    starts = jnp.asarray(first[:-1], jnp.int32)
+    tails = [one.tail + start for one, start in zip(graph.maps, starts, strict=True)]
+    heads = [one.head + start for one, start in zip(graph.maps, starts, strict=True)]
+    ends_a = starts[closures.robot_a] + closures.pose_a
+    ends_b = starts[closures.robot_b] + closures.pose_b
+    world = jnp.full(robots, first[-1], jnp.int32)
+    return jnp.concatenate([*tails, ends_a, world]), jnp.concatenate([*heads, ends_b, starts])
+
+
+def _firsts(graph: MultiRobotGraph) -> Any:
+    return lie.stack([lie.take(one.poses, 0) for one in graph.maps])
+
+
+def _strengths(graph: MultiRobotGraph) -> Float[Array, " k"]:
+    everything = [one.information for one in (*graph.maps, graph.closures)]
+    return jnp.concatenate([jnp.diagonal(each, axis1=1, axis2=2).ravel() for each in everything])
+
+
+def _padded(batches: list[Any], size: int) -> Any:
+    """One batch of `size`, identities at the end."""
+    joined = lie.concatenate(batches)
+    values = lie.parameters(joined)
+    missing = lie.identity(lie.group_of(joined), (size - len(values),), xp=jnp)
+    filler = lie.parameters(missing).astype(values.dtype)
+    return lie.group_of(joined)(jnp.concatenate([values, filler]))
+
+
+def _stacked(batches: list[Array], filler: Array, size: int) -> Array:
+    """One batch of `size`, `filler` at the end."""
+    missing = size - sum(len(batch) for batch in batches)
+    return jnp.concatenate([*batches, jnp.broadcast_to(filler, (missing, *filler.shape))])
+
+
+class _Placing(NamedTuple):
+    """Where each map is put to start with.
+
+    Attributes:
+        anchors: Lie `[robots]`, each map's frame in that of its group's first robot.
+        group: `[robots]`, the first robot of the group that each belongs to.
+    """
+
+    anchors: Any
+    group: Int[Array, " robots"]
+
+
+def _placing(graph: MultiRobotGraph, weights: Float[Array, " m"]) -> _Placing:
+    """Places robot by robot, along the heaviest pair that joins a placed one to a new one."""
+    robots, kind = len(graph.maps), graph.group
+    pairs = np.stack(np.triu_indices(robots, 1), axis=1)
+    total, relative = _relative_anchors(graph, weights, pairs)
+    low, high = pairs[:, 0], pairs[:, 1]
+    weight = jnp.zeros((robots, robots), weights.dtype)
+    weight = weight.at[low, high].set(total).at[high, low].set(total)
+    values, backward = lie.parameters(relative), lie.parameters(lie.inverse(relative))
+    step = jnp.zeros((robots, robots, values.shape[-1]), values.dtype)
+    step = step.at[low, high].set(values).at[high, low].set(backward)
+
+    def place(_: int, state: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+        anchors, group, placed = state
+        bridges = jnp.where(placed[:, None] & ~placed[None, :], weight, 0.0)
+        a, b = jnp.unravel_index(jnp.argmax(bridges), bridges.shape)
+        joined = bridges[a, b] > 0.0
+        alone = jnp.argmin(placed)
+        b = jnp.where(joined, b, alone).astype(jnp.int32)
+        moved = lie.parameters(lie.compose(kind(anchors[a]), kind(step[a, b])))
+        anchors = anchors.at[b].set(jnp.where(joined, moved, anchors[b]))
+        group = group.at[b].set(jnp.where(joined, group[a], b))
+        return anchors, group, placed.at[b].set(True)
+
+    unmoved = lie.parameters(lie.identity(kind, (robots,), xp=jnp)).astype(values.dtype)
+    first = jnp.arange(robots) == 0
+    anchors, group, _ = jax.lax.fori_loop(
+        1, robots, place, (unmoved, jnp.zeros(robots, jnp.int32), first)
+    )
+    return _Placing(kind(anchors), group)
+
+
+def _relative_anchors(
+    graph: MultiRobotGraph, weights: Float[Array, " m"], pairs: Int[np.ndarray, "pairs 2"]
+) -> tuple[Float[Array, " pairs"], Any]:
+    """Each pair's total weight, and where its second map lies in the first, by the medoid.
+
+    Closure u alone would put the second map at T_u = X_i z_u Y_k⁻¹. Believed is the one whose T_u
+    is the nearest to all others', weighted: least Σ_v w_v |T_u y_v − T_v y_v|, with y_v the
+    position that v measures.
+    """
+    placed, seen, low, high = _oriented(graph)
+    kept = min(MOST_COMPARED, len(weights))
+
+    def of_pair(pair: Int[Array, " 2"]) -> tuple[Array, Array]:
+        share = jnp.where((low == pair[0]) & (high == pair[1]), weights, 0.0)
+        w, rows = jax.lax.top_k(share, kept)
+        matrices = lie.as_matrix(lie.take(placed, rows))
+        turn, shift = matrices[:, :-1, :-1], matrices[:, :-1, -1]
+        images = jnp.einsum("uij,vj->uvi", turn, seen[rows]) + shift[:, None]
+        away = images - jnp.diagonal(images, axis1=0, axis2=1).T
+        cost = jnp.sqrt(jnp.sum(away * away, axis=-1)) @ w
+        best = jnp.argmin(jnp.where(w > 0.0, cost, jnp.inf))
+        return jnp.sum(share), lie.parameters(lie.take(placed, rows[best]))
+
+    if not (len(pairs) and kept):
+        one = lie.parameters(lie.identity(graph.group, (len(pairs),), xp=jnp))
+        return jnp.zeros(len(pairs), weights.dtype), graph.group(one.astype(weights.dtype))
+    total, values = jax.lax.map(of_pair, jnp.asarray(pairs))
+    return total, graph.group(values)
+
+
+def _oriented(graph: MultiRobotGraph) -> tuple[Any, Float[Array, "m s"], Array, Array]:
+    """T_u and y_u of every closure, taken from its lower robot to its higher, and those robots."""
+    closures: LoopClosures = graph.closures
+    first = np.cumsum([0, *(one.num_poses for one in graph.maps)])[:-1]
+    poses, starts = lie.concatenate([one.poses for one in graph.maps]), jnp.asarray(first)
+    pose_a = lie.take(poses, starts[closures.robot_a] + closures.pose_a)
+    pose_b = lie.take(poses, starts[closures.robot_b] + closures.pose_b)
+    placed = lie.compose(lie.compose(pose_a, closures.measurement), lie.inverse(pose_b))
+    flipped: Bool[Array, " m"] = closures.robot_a > closures.robot_b
+    values = jnp.where(
+        flipped[:, None], lie.parameters(lie.inverse(placed)), lie.parameters(placed)
+    )
+    seen = jnp.where(flipped[:, None], lie.translation(pose_a), lie.translation(pose_b))
+    low = jnp.minimum(closures.robot_a, closures.robot_b)
+    return graph.group(values), seen, low, jnp.maximum(closures.robot_a, closures.robot_b)

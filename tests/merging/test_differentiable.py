@@ -1,0 +1,319 @@
+"""The merged map's derivatives: against differences, in both modes, under every transformation."""
+
+import dataclasses
+import time
+
+import jax
+import jax.numpy as jnp
+import jaxlie
+import numpy as np
+import pytest
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.files import read_graph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
+from pcm_jax.mapping import optimize
+from pcm_jax.merging import merge, merge_differentiable
+
+GROUPS = [jaxlie.SE2, jaxlie.SE3]
+
+
+def noisy(rng, exact, sigma):
+    """Measurements of exact relative poses, and the covariance of their noise."""
+    d = lie.tangent_dim(exact)
+    count = len(lie.parameters(exact))
+    root = sigma * (np.eye(d) + 0.3 * rng.normal(size=(count, d, d)))
+    error = np.einsum("eij,ej->ei", root, rng.normal(size=(count, d)))
+    moved = lie.compose(exact, lie.exp(lie.group_of(exact), error))
+    return {"measurement": moved, "covariance": root @ root.swapaxes(1, 2)}
+
+
+def small_world(group, seed=0, robots=2, poses=8, rows=((0, 1), (0, 1), (1, 0), (0, 1), (1, 0))):
+    """Maps with loops in frames of their own, and closures between the robots of `rows`.
+
+    Noise is large, so that the Hessian is not the normal equations' matrix.
+    """
+    rng = np.random.default_rng(seed)
+    d = lie.tangent_dim(group)
+    maps, truth = [], []
+    for _ in range(robots):
+        placed = lie.exp(group, rng.normal(size=(poses, d)))
+        tail = np.array([*range(poses - 1), 0, 2, 1])
+        head = np.array([*range(1, poses), poses - 1, 5, 6])
+        edges = noisy(rng, lie.between(lie.take(placed, tail), lie.take(placed, head)), 0.1)
+        frame = lie.exp(group, 3.0 * rng.normal(size=d))
+        own = lie.compose(frame, placed)
+        maps.append(PoseGraph.from_arrays(poses=own, tail=tail, head=head, **edges))
+        truth.append(placed)
+    a, b = np.array(rows).T
+    i, k = rng.integers(poses, size=(2, len(rows)))
+    ends = [
+        lie.stack([lie.take(truth[r], p) for r, p in zip(*e, strict=True)])
+        for e in ((a, i), (b, k))
+    ]
+    measured = noisy(rng, lie.between(*ends), 0.15)
+    closures = LoopClosures.from_arrays(robot_a=a, pose_a=i, robot_b=b, pose_b=k, **measured)
+    return MultiRobotGraph(tuple(maps), closures)
+
+
+def moved_graph(graph, theta):
+    """Closures moved on the right, their information and the first map's edges and frame moved."""
+    closures, first = graph.closures, graph.maps[0]
+    step = lie.exp(graph.group, theta["closure"])
+    edge = lie.exp(graph.group, theta["edge"])
+    symmetric = theta["information"] + jnp.swapaxes(theta["information"], 1, 2)
+    closures = dataclasses.replace(
+        closures,
+        measurement=lie.compose(closures.measurement, step),
+        information=closures.information + symmetric,
+    )
+    first = dataclasses.replace(
+        first,
+        poses=lie.compose(lie.exp(graph.group, theta["frame"]), first.poses),
+        measurement=lie.compose(first.measurement, edge),
+    )
+    return MultiRobotGraph((first, *graph.maps[1:]), closures)
+
+
+INPUTS = ("closure", "edge", "information", "weight", "frame")
+
+
+def still(graph):
+    m, d = len(graph.closures), graph.tangent_dim
+    edges = graph.maps[0].num_edges
+    shapes = ((m, d), (edges, d), (m, d, d), (m,), (d,))
+    return {name: jnp.zeros(shape) for name, shape in zip(INPUTS, shapes, strict=True)}
+
+
+def scaled(direction, by):
+    return jax.tree.map(lambda leaf: by * leaf, direction)
+
+
+def loss_of(graph, weights, seed=1):
+    """A function of all poses, every parameter of them, and of `still`'s perturbations."""
+    rng = np.random.default_rng(seed)
+    pulls = [jnp.asarray(rng.normal(size=lie.parameters(one.poses).shape)) for one in graph.maps]
+
+    def loss(theta):
+        merged = merge_differentiable(moved_graph(graph, theta), weights + theta["weight"])
+        return sum(jnp.vdot(c, lie.parameters(x)) for c, x in zip(pulls, merged, strict=True))
+
+    return loss
+
+
+def both_modes(loss):
+    """One program: the value, the derivative along `direction`, and the gradient."""
+
+    @jax.jit
+    def run(theta, direction):
+        value, forward = jax.linearize(loss, theta)
+        (gradient,) = jax.linear_transpose(forward, theta)(jnp.ones(()))
+        return value, forward(direction), gradient
+
+    return run
+
+
+@pytest.fixture(scope="module", params=GROUPS, ids=["SE2", "SE3"])
+def case(request):
+    """A graph, weights with one closure switched off, the loss in both modes."""
+    graph = small_world(request.param)
+    weights = jnp.asarray([1.0, 0.4, 0.7, 0.0, 0.9])
+    return graph, weights, both_modes(loss_of(graph, weights))
+
+
+def direction_in(graph, weights, name, seed=2):
+    """A random direction in one input, of the size at which differences are taken."""
+    leaf = still(graph)[name]
+    along = np.random.default_rng(seed).normal(size=leaf.shape)
+    if name == "weight":
+        along *= np.asarray(weights) > 0.0
+    if name == "information":
+        along *= 0.03 * float(np.abs(graph.closures.information).max())
+    return still(graph) | {name: jnp.asarray(along)}
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_derivatives_are_those_of_differences(case, name):
+    graph, weights, run = case
+    at, direction = still(graph), direction_in(graph, weights, name)
+    _, forward, gradient = run(at, direction)
+    reverse = float(jnp.vdot(gradient[name], direction[name]))
+
+    def slope(h):
+        ahead, behind = (run(scaled(direction, by), at)[0] for by in (h, -h))
+        return float(ahead - behind) / (2 * h)
+
+    h = 5e-3
+    assert abs(reverse) > 1e-3
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9)
+    np.testing.assert_allclose(reverse, (4.0 * slope(h / 2) - slope(h)) / 3.0, rtol=1e-6)
+
+
+def test_slope_at_weight_zero(case):
+    """From above: what switching closure 3 on would do."""
+    graph, _, run = case
+    at, unit = still(graph), still(graph) | {"weight": jnp.zeros(5).at[3].set(1.0)}
+    h = 3e-4
+    values = [float(run(scaled(unit, k * h), at)[0]) for k in range(5)]
+    one_sided = np.dot([-25.0, 48.0, -36.0, 16.0, -3.0], values) / (12.0 * h)
+    slope = run(at, at)[2]["weight"][3]
+    assert abs(slope) > 1e-3
+    np.testing.assert_allclose(slope, one_sided, rtol=1e-6)
+
+
+# What the poses are
+
+
+def parameters_of(merged):
+    return [np.asarray(lie.parameters(poses)) for poses in merged]
+
+
+ROWS = ((2, 0), (0, 2), (0, 1), (1, 2), (1, 0))
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Robots 0 and 2 joined by two closures, robot 1 to both by others."""
+    graph = small_world(jaxlie.SE2, seed=3, robots=3, rows=ROWS)
+    return MultiRobotGraph(tuple(optimize(own).graph for own in graph.maps), graph.closures)
+
+
+@pytest.fixture(scope="module")
+def run_three(three):
+    """Both modes for it; the weights are `still`'s."""
+    return both_modes(loss_of(three, jnp.zeros(5)))
+
+
+def weighted(graph, weights):
+    return still(graph) | {"weight": jnp.asarray(weights)}
+
+
+@pytest.mark.parametrize("off", [(), (3,), (2, 3, 4), (0, 1, 2, 3, 4)])
+def test_weights_of_zero_and_one_are_a_merge(three, off):
+    """All three together, by fewer closures, robot 1 alone, all alone."""
+    inliers = np.ones(5, bool)
+    inliers[list(off)] = False
+    expected = merge(three, inliers=inliers, optimized=True)
+    found = merge_differentiable(three, inliers)
+    for own, merged in zip(found, expected.graph.maps, strict=True):
+        np.testing.assert_allclose(lie.as_matrix(own), lie.as_matrix(merged.poses), atol=1e-6)
+
+
+def test_between_groups_the_slope_is_zero(three, run_three):
+    at = weighted(three, [1.0, 1.0, 0.0, 0.0, 0.0])
+    _, _, gradient = run_three(at, at)
+    assert np.abs(gradient["weight"][:2]).min() > 1e-3
+    np.testing.assert_array_equal(gradient["weight"][2:], 0.0)
+    np.testing.assert_array_equal(gradient["closure"][2:], 0.0)
+
+
+def test_the_groups_first_pose_stays(three):
+    first = three.maps[0].poses
+    merged = merge_differentiable(three, jnp.ones(5))
+    np.testing.assert_allclose(parameters_of(merged)[0][0], lie.parameters(first)[0], atol=1e-12)
+
+
+# Transformations
+
+
+def test_one_bad_sample_in_a_batch(three):
+    """Numbers of the others stay the same bit for bit; nothing flows back from the bad ones."""
+
+    def masked_loss(weights, information):
+        closures = dataclasses.replace(three.closures, information=information)
+        values = lie.parameters(
+            merge_differentiable(MultiRobotGraph(three.maps, closures), weights)[1]
+        )
+        total = jnp.sum(values**2)
+        return jnp.where(jnp.isfinite(total), total, 0.0), values
+
+    run = jax.jit(jax.vmap(jax.value_and_grad(masked_loss, argnums=(0, 1), has_aux=True)))
+    weights = np.random.default_rng(4).uniform(0.2, 1.0, (4, 5))
+    information = np.stack([np.asarray(three.closures.information)] * 4)
+    (_, expected), wanted = run(weights, information)
+    weights[2, 1] = np.nan
+    information[1, 0] = -np.eye(3)
+    (losses, found), gradients = run(weights, information)
+    np.testing.assert_array_equal(found[np.array([0, 3])], expected[np.array([0, 3])])
+    assert np.isnan(found[np.array([1, 2])]).all()
+    np.testing.assert_array_equal(losses[np.array([1, 2])], 0.0)
+    for gradient, want in zip(gradients, wanted, strict=True):
+        np.testing.assert_array_equal(gradient[np.array([1, 2])], 0.0)
+        np.testing.assert_array_equal(gradient[np.array([0, 3])], want[np.array([0, 3])])
+        assert np.abs(want).max() > 1e-6
+    alone = parameters_of(merge_differentiable(three, weights[0]))[1]
+    np.testing.assert_allclose(found[0], alone, rtol=0, atol=1e-12)
+
+
+def test_structure_may_be_traced_and_differ_within_a_batch():
+    worlds = [small_world(jaxlie.SE2, seed, robots=3, rows=ROWS) for seed in (5, 6)]
+    weights = jnp.asarray([1.0, 0.5, 0.0, 0.8, 0.3])
+    assert (np.asarray(worlds[0].closures.pose_a) != np.asarray(worlds[1].closures.pose_a)).any()
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *worlds)
+    merged = jax.vmap(lambda g: merge_differentiable(g, weights))(stacked)
+    for row, world in enumerate(worlds):
+        for found, own in zip(merged, merge_differentiable(world, weights), strict=True):
+            np.testing.assert_allclose(lie.parameters(found)[row], lie.parameters(own), atol=1e-11)
+
+
+def test_padded_closures_change_nothing(three):
+    """Repeated ones at weight zero, bit for bit."""
+    weights = np.array([1.0, 0.5, 0.0, 0.8, 0.3])
+    longer = MultiRobotGraph(three.maps, three.closures[np.array([0, 1, 2, 3, 4, 4, 4])])
+    expected = parameters_of(merge_differentiable(three, weights))
+    found = parameters_of(merge_differentiable(longer, np.append(weights, [0.0, 0.0])))
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_second_derivatives(three, run_three):
+    """The rule is differentiable itself."""
+    weights, along = np.array([1.0, 0.5, 0.4, 0.8, 0.3]), np.array([0.3, -0.1, 0.2, 0.1, 0.4])
+    loss = loss_of(three, jnp.asarray(weights))
+
+    def on_the_line(t):
+        return loss(weighted(three, t * along))
+
+    slope = lambda t: jax.jvp(on_the_line, (t,), (jnp.ones(()),))[1]  # noqa: E731
+    _, bend = jax.jit(lambda t: jax.jvp(slope, (t,), (jnp.ones(()),)))(jnp.zeros(()))
+    h, unit = 1e-3, weighted(three, along)
+    ahead, behind = (run_three(weighted(three, weights + t * along), unit)[1] for t in (h, -h))
+    assert abs(float(bend)) > 1e-3
+    np.testing.assert_allclose(bend, (ahead - behind) / (2 * h), rtol=1e-5)
+
+
+def test_city10000_in_a_few_solves(shared_data):
+    """Real size: one solve, then value and gradient by everything; two solves' time when alone."""
+    whole = read_graph(shared_data / "city10000" / "city10000.g2o.xz").maps[0]
+    halves = split(whole, [whole.num_poses // 2])
+    few = halves.closures[np.arange(0, len(halves.closures), 20)]
+    graph = MultiRobotGraph(tuple(optimize(own).graph for own in halves.maps), few)
+    weights = np.random.default_rng(0).uniform(0.3, 1.0, len(few))
+    weights[::5] = 0.0
+    run = both_modes(loss_of(graph, jnp.asarray(weights)))
+    at, along = still(graph), direction_in(graph, weights, "closure")
+    _, forward, gradient = run(at, along)
+    np.testing.assert_allclose(forward, jnp.vdot(gradient["closure"], along["closure"]), rtol=1e-6)
+    ahead, behind = (float(run(scaled(along, h), at)[0]) for h in (1e-3, -1e-3))
+    np.testing.assert_allclose(forward, (ahead - behind) / 2e-3, rtol=1e-6)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    joint = merge(graph, inliers=weights > 0.0, optimized=True).graph
+    solves = [
+        time_of(lambda: merge(joint, inliers=weights > 0.0, optimized=True)) for _ in range(3)
+    ]
+    derivatives = [time_of(lambda: jax.block_until_ready(run(at, along))) for _ in range(3)]
+    assert min(derivatives) < 5.0 * min(solves)
+
+
+def time_of(run):
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
+
+
+def test_what_is_refused(three):
+    with pytest.raises(InputError, match=r"weights: shape \(4,\), expected \(5,\)"):
+        merge_differentiable(three, np.ones(4))
+    with pytest.raises(InputError, match="solver: 'newton' given, expected one of gauss-newton"):
+        merge_differentiable(three, np.ones(5), solver="newton")
