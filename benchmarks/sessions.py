@@ -366,7 +366,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--simulated", action="store_true", help="sessions that need no file")
     parser.add_argument("--poses", type=int, default=750, help="of each simulated session")
-    parser.add_argument("--versions", type=int, default=20, help="of each seed")
+    parser.add_argument("--versions", type=int, default=10, help="of each seed")
     parser.add_argument("--methods", nargs="+", choices=METHODS, metavar="NAME", help="rows")
     parser.add_argument(
         "--horizon", type=int, default=HORIZON, help="keyframes, for the odometry's noise"
