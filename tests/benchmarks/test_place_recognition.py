@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 import lzma
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,8 +62,8 @@ def data(tmp_path_factory):
     rrr.mkdir()
     (kitti / f"{KITTI}.g2o").write_text("# candidates\n\n" + measured)
     (kitti / "kitti_99_GT.g2o").write_text(edge_lines(STEPS, 0.0 * SIGMAS, generator))
-    with lzma.open(kitti / f"{KITTI}_GT_LC.txt.xz", "wt") as file:
-        file.write("".join(f"{i} {j}\n" for i, j in RIGHT))
+    listed = "".join(f"{i} {j}\n" for i, j in RIGHT)
+    (kitti / f"{KITTI}_GT_LC.txt.xz").write_bytes(lzma.compress(listed.encode()))
     (rrr / f"{RRR}.g2o").write_text(measured)
     (rrr / "Walk_timestamps.txt").write_text("".join(f"{100 + k}.5\n" for k in range(POSES)))
     times = 99.5 + np.arange(POSES + 1)  # the first before all poses, then one for each
@@ -89,7 +90,7 @@ def test_truth_and_labels_of_both_collections(data):
 
 def test_the_noise_of_honest_information(data):
     candidates = real.load(data, KITTI)
-    noise = real.noise(candidates, select_within(candidates.graph))
+    noise: Any = real.noise(candidates, select_within(candidates.graph))
     assert noise["steps_against_truth_mean"] == pytest.approx(1.0, abs=0.15)
     assert noise["right_against_truth_mean"] == pytest.approx(1.0, abs=0.4)
     assert 0.3 < noise["factor_odometry"] < 3.0
@@ -112,7 +113,8 @@ def test_factors_find_a_factor(data):
 
 def test_lever_arm_of_a_truth_that_is_of_another_point(data):
     candidates = real.load(data, KITTI)
-    offset = lie.exp(lie.group_of(candidates.truth), np.array([-2.0, 0.5, 0.0]))
+    shift: Any = np.array([-2.0, 0.5, 0.0])
+    offset = lie.exp(lie.group_of(candidates.truth), shift)
     moved = candidates._replace(truth=lie.compose(candidates.truth, offset))
     assert real.lever_arm(moved) == pytest.approx(np.hypot(2.0, 0.5), abs=0.05)
 
@@ -191,7 +193,7 @@ def test_what_is_not_there(data, tmp_path, capsys):
 def test_the_strictest_real_candidates(shared_data):
     candidates = real.load(shared_data, "kitti_00_alpha_1.00")
     selection = select_within(candidates.graph)
-    noise = real.noise(candidates, selection)
+    noise: Any = real.noise(candidates, selection)
     assert (noise["candidates"], noise["right"], noise["false_stored_as_identity"]) == (
         141,
         131,
