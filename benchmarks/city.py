@@ -17,8 +17,9 @@ closures, and 99 % (`pcm-exact-99`) keeps them. SCGP hangs on its affinity: Gaus
 
 Writes summary.json ({method: means over the versions}), versions.csv and table.md (Table I); with
 the sweep of 20 gates sweep.json, sweep.csv and sweep.png (Fig. 4); maps.png (Fig. 5, of the version
-in which the methods differ most); run.json. The columns are those of `pcm_jax.evaluation.Compared`,
-and how many aliased and random closures were accepted.
+in which the methods differ most); starts.csv (how far the nearest aliased group is from holding
+where DCS starts, m, and what DCS accepts); run.json. The columns are those of
+`pcm_jax.evaluation.Compared`, and how many aliased and random closures were accepted.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from benchmarks.experiments.cities import (
     Law,
     city_of_file,
     simulated_city,
+    start_errors,
     version_of,
     weakened,
 )
@@ -42,6 +44,7 @@ from benchmarks.experiments.city_report import (
     MAPS,
     SWEEP,
     draw_maps,
+    start_rows,
     sweep_of,
     table,
     telling,
@@ -118,6 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     summary = means_by_method(versions.values())
     write_json(options.out / "summary.json", summary)
     write_csv(options.out / "versions.csv", rows_by_method(versions))
+    write_csv(options.out / "starts.csv", start_rows(versions))
     (options.out / "table.md").write_text(f"{table(summary)}\n\n{len(versions)} versions\n")
     merging = len(versions) * sum(row["seconds"] for row in summary.values())
     write_run(options.out, options, start, merging_seconds=round(merging, 1))
@@ -131,12 +135,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_version(
     source: Source, comparison: Comparison, seed: int, number: int
 ) -> dict[str, dict[str, Any]]:
-    """What every method makes of one version: figures by method, and by method of the sweep."""
+    """What every method makes of one version: figures by method, and by method of the sweep.
+
+    `start_errors` are those of `cities.start_errors`.
+    """
     world = version_of(load(source), source.law, seed, number)
     methods = {**comparison.methods, **(SWEEP if comparison.sweep else {})}
     results = compared(world, methods, comparison.engine)
     figures = {name: _figures(world, results[name]) for name in comparison.methods}
-    return {"methods": figures, "sweep": sweep_of(results) if comparison.sweep else {}}
+    sweep = sweep_of(results) if comparison.sweep else {}
+    return {"methods": figures, "sweep": sweep, "start_errors": start_errors(world)}
 
 
 def compared(

@@ -43,6 +43,7 @@ METHODS = {name: city.PAPER[name] for name in ("pcm-exact-11", "ransac-1", "rans
 METHODS["scgp-linear"] = Method("scgp", 0.11, (("affinity", "linear"),))
 METHODS["scgp-binary"] = city.BINARY["scgp-binary"]
 METHODS["pcm-exact-99"] = city.CALIBRATED["pcm-exact-99"]
+COMPARISON = city.Comparison(METHODS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,23 +52,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     start, here = time.perf_counter(), city.source_of(parser, options)
     options.out.mkdir(parents=True, exist_ok=True)
-    comparison = city.Comparison(METHODS)
-    steps = Steps(options.out / "steps", (here, LAWS, comparison), [*city.sources(), Path(__file__)])
-    of_law = {law: {} for law in LAWS}
-    for k, (law, (clutter, factor)) in enumerate(LAWS.items()):
-        source = here._replace(law=clutter, weaker=factor)
-        for seed in options.seeds:
-            for number in range(options.versions):
-                task = partial(city.run_version, source, comparison, seed, number)
-                of_law[law][f"{k}-{seed}-{number:04}"] = task
-    tasks = {name: task for of_one in of_law.values() for name, task in of_one.items()}
+    tasks = {
+        f"{k}-{seed}-{number:04}": partial(city.run_version, source, COMPARISON, seed, number)
+        for k, source in enumerate(_under_all_laws(here))
+        for seed in options.seeds
+        for number in range(options.versions)
+    }
+    stamp = here, LAWS, COMPARISON
+    steps = Steps(options.out / "steps", stamp, [*city.sources(), Path(__file__)])
     results = run_tasks("versions under all laws", tasks, steps, jobs=options.jobs)
-    summary = {law: means_by_method(results[name] for name in of_law[law]) for law in LAWS}
+    summary = {
+        law: means_by_method(run for name, run in results.items() if name.startswith(f"{k}-"))
+        for k, law in enumerate(LAWS)
+    }
     write_json(options.out / "summary.json", summary)
     (options.out / "table.md").write_text(f"{table(summary)}\n\n{options.versions} versions\n")
     write_run(options.out, options, start)
     print(f"{table(summary)}\nwrote {options.out / 'summary.json'}")
     return 0
+
+
+def _under_all_laws(here: city.Source) -> list[city.Source]:
+    return [here._replace(law=law, weaker=weaker) for law, weaker in LAWS.values()]
 
 
 def table(summary: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:

@@ -73,6 +73,29 @@ def version_of(city: City, law: Law, seed: int, number: int) -> SimulatedWorld:
     return world._replace(graph=MultiRobotGraph(world.graph.maps, clutter))
 
 
+def start_errors(world: SimulatedWorld) -> dict[str, float]:
+    """How far closures are from holding where robust methods start, with both first poses at one.
+
+    Returns:
+        Metres, the median over the closures of a kind: `true`, and `aliased`, of the aliased group
+        that is nearest.
+    """
+    maps, closures = world.graph.maps, world.graph.closures
+    first = maps[0].num_poses
+    poses = lie.concatenate([lie.as_numpy(one.poses) for one in maps])
+    tail, head = (
+        lie.take(poses, np.asarray(pose) + first * np.asarray(robot))
+        for robot, pose in (
+            (closures.robot_a, closures.pose_a),
+            (closures.robot_b, closures.pose_b),
+        )
+    )
+    error = lie.between(lie.as_numpy(closures.measurement), lie.between(tail, head))
+    metres = np.linalg.norm(lie.translation(error), axis=-1)
+    groups = [np.median(metres[world.labels == label]) for label in set(world.labels) if label > 0]
+    return {"true": float(np.median(metres[world.inliers])), "aliased": float(min(groups))}
+
+
 def weakened(city: City, factor: float) -> City:
     """The city with all covariances multiplied: the same optima, q² divided."""
     maps = tuple(_with_information(one, lambda known: known / factor) for one in city.graph.maps)

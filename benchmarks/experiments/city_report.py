@@ -71,6 +71,18 @@ def table(summary: Mapping[str, Mapping[str, float]]) -> str:
     return comparison_table(rows, {k: v for k, v in COLUMNS.items() if k in known})
 
 
+def start_rows(runs: Mapping[str, Run]) -> list[dict[str, Any]]:
+    """For each version how far closures are from holding where DCS starts, and what it accepts."""
+    return [
+        {
+            "run": name,
+            **{f"{kind}_start_error": metres for kind, metres in run["start_errors"].items()},
+            **{f"dcs_{kind}": run["methods"]["dcs"][kind] for kind in ("aliased", "random")},
+        }
+        for name, run in runs.items()
+    ]
+
+
 def sweep_of(results: Mapping[str, Compared]) -> dict[str, dict[str, list[float]]]:
     """For each method of Fig. 4 its figures at all gates."""
     return {

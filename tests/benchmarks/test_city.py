@@ -15,12 +15,13 @@ from benchmarks.experiments.cities import (
     Law,
     city_of_file,
     simulated_city,
+    start_errors,
     version_of,
     weakened,
 )
 from benchmarks.experiments.command import run_tasks
 from benchmarks.experiments.record import Steps
-from pcm_jax import InputError, lie, select
+from pcm_jax import InputError, MultiRobotGraph, lie, select
 from pcm_jax.evaluation.metrics import ate_rmse
 
 CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
@@ -53,6 +54,10 @@ def test_table_maps_and_resuming(tmp_path, monkeypatch):
     assert summary["dcs"]["tpr"] == 0.0
     with (tmp_path / "versions.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 2 * len(city.PAPER)
+    with (tmp_path / "starts.csv").open() as file:
+        starts = list(csv.DictReader(file))
+    assert [float(row["dcs_aliased"]) for row in starts] == [0.0, 0.0]
+    assert min(float(row["aliased_start_error"]) for row in starts) > 1.0
     written = (tmp_path / "table.md").read_text().splitlines()
     assert len(written) == 2 + len(city.PAPER) + 2
     assert (tmp_path / "maps.png").stat().st_size > 10_000
@@ -139,6 +144,22 @@ def test_the_laws_of_false_closures():
     np.testing.assert_array_equal(claimed[~random], known[~random])
     ratio = np.sqrt(known / claimed)[random]
     assert 1.0 <= ratio.min() < 2.0 < 5.0 < ratio.max() <= 10.0
+
+
+def test_closures_hold_where_maps_start_if_the_maps_lie_there():
+    """Where the maps start at the truth, true closures hold but for their noise."""
+    home = simulated_city(400, 0, "sqrt")
+    exact = tuple(
+        one.with_poses(lie.as_device(poses))
+        for one, poses in zip(home.graph.maps, home.truth, strict=True)
+    )
+    placed = version_of(
+        home._replace(graph=MultiRobotGraph(exact, home.graph.closures)), Law(), 0, 0
+    )
+    errors = start_errors(placed)
+    assert errors["true"] < 0.1
+    assert errors["aliased"] > 5.0
+    assert start_errors(version_of(home, Law(), 0, 0))["true"] > 5.0
 
 
 def test_weaker_information_divides_the_squared_distances():
