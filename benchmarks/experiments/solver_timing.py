@@ -28,7 +28,7 @@ from pcm_jax.selection import choose
 SIZES = (6, 8, 12, 16, 20, 24, 28, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 SIZES += (768, 1024, 1536, 2048, 3072, 4096)
 PATIENCE = 0.01  # share of the worlds that may take longer than the limit
-BATCHED_UP_TO = 32  # bits of a word: the limit of two of the batched methods
+BATCHED_UP_TO = 32  # bits of a word: the limit of the batched enumeration
 _LIMITS_OF_WALL_CLOCK = 20  # until the clique search, which could go on for ever, is stopped
 
 Timed = dict[str, dict[str, Any]]
@@ -54,17 +54,18 @@ def time_size(
     """Times of worlds of one size."""
     simulated = setting.worlds(worlds, seed)
     timed: Timed = {method: {"seconds": [], "gave_up": False} for method in methods}
-    for method in methods:  # nobody's first call is timed
-        _seconds(method, setting.worlds(1, seed).squared_mahalanobis()[0], setting.gate, limit)
-    for world in range(worlds):
-        one = type(simulated)(*(values[world : world + 1] for values in simulated))
-        squared = one.squared_mahalanobis()[0]
-        for method, result in timed.items():
-            if not result["gave_up"]:
-                seconds = _seconds(method, squared, setting.gate, limit)
-                result["seconds"] += [] if seconds is None else [seconds]
-                late = sum(each > limit for each in result["seconds"])
-                result["gave_up"] = seconds is None or late > PATIENCE * worlds
+    with threadpool_limits(1):
+        for method in methods:  # nobody's first call is timed
+            _seconds(method, setting.worlds(1, seed).squared_mahalanobis()[0], setting.gate, limit)
+        for world in range(worlds):
+            one = type(simulated)(*(values[world : world + 1] for values in simulated))
+            squared = one.squared_mahalanobis()[0]
+            for method, result in timed.items():
+                if not result["gave_up"]:
+                    seconds = _seconds(method, squared, setting.gate, limit)
+                    result["seconds"] += [] if seconds is None else [seconds]
+                    late = sum(each > limit for each in result["seconds"])
+                    result["gave_up"] = seconds is None or late > PATIENCE * worlds
     if setting.measurements <= BATCHED_UP_TO:
         squared = simulated.squared_mahalanobis()
         for method in METHODS:
@@ -76,13 +77,12 @@ def time_size(
 def _seconds(method: str, squared: np.ndarray, gate: float, limit: float) -> float | None:
     """Of one world; None where the method cannot do it."""
     options = {"time_limit": _LIMITS_OF_WALL_CLOCK * limit} if method == "pcm-exact" else {}
-    with threadpool_limits(1):
-        start = time.process_time()
-        try:
-            choice = choose(squared, gate, method=method, **options)
-        except InputError:
-            return None
-        seconds = time.process_time() - start
+    start = time.process_time()
+    try:
+        choice = choose(squared, gate, method=method, **options)
+    except InputError:
+        return None
+    seconds = time.process_time() - start
     return seconds if choice.optimal or method != "pcm-exact" else None
 
 

@@ -17,11 +17,11 @@ SMALL = CITY._replace(poses=120, drifts=(1.0, 2.0), shares=(0.0, 1.0), share=1.0
 
 @pytest.fixture(scope="module")
 def inside():
-    """Share of the right pairs within the 95 % gate, in 50 worlds with all their loops."""
+    """Share of the right pairs within the 95 % gate, in 100 worlds with all their loops."""
     gate, found = float(chi2_gate(0.95, 3)), []
     pairs = ~np.eye(RIGHT, dtype=bool)
-    for number in range(50):
-        world = candidates(SMALL, Point(1.0, 1.0), 1, number)
+    for number in range(100):
+        world = candidates(SMALL, Point(1.0, 1.0), 7, number)
         right = np.ix_(world.right, world.right)
         distances = covariances.squared_distances(world.graph)
         found.append([(each[right][pairs] <= gate).mean() for each in distances.values()])
