@@ -45,11 +45,13 @@ class Law(NamedTuple):
         aliased_noise: times the true closures' noise, in those of the aliased groups.
         random_sigma: random closures claim standard deviations of 1 to so many times the true
             ones', log-uniform (the paper's random outliers of its 1-D world have random variances).
+        random: how many random closures.
     """
 
     random_range: float | None = None
     aliased_noise: float = 1.0
     random_sigma: float = 1.0
+    random: int = 90
 
 
 def version_of(city: City, law: Law, seed: int, number: int) -> SimulatedWorld:
@@ -61,6 +63,7 @@ def version_of(city: City, law: Law, seed: int, number: int) -> SimulatedWorld:
         city.truth,
         seed=generator,
         covariance=covariance,
+        random=law.random,
         random_range=law.random_range,
     )
     if law.random_sigma == 1.0:
