@@ -26,7 +26,6 @@ from pcm_jax.simulation.world import (
 
 _BLOCK = 5  # m between streets, and steps of 1 m between crossings
 _SAME_SPOT = 0.5  # m
-_LOOPS_PER_RETURN = 2
 
 
 def simulate_city(
@@ -43,6 +42,7 @@ def simulate_city(
     blocks: int | None = None,
     reach: float = 3.0,
     random_range: float | None = None,
+    loops_per_return: int = 2,
 ) -> SimulatedWorld:
     """SE(2) maps of one city, with candidate closures between every two robots.
 
@@ -63,6 +63,7 @@ def simulate_city(
         blocks: blocks of 5 m along each side of the city; by default City10000's density.
         reach: metres between two poses that can measure each other.
         random_range: metres between the two poses of a random closure; None: the whole city.
+        loops_per_return: loop closures that a robot makes at most where it is back at a place.
 
     Raises:
         InputError: a number out of range, or robots that pass each other too seldom.
@@ -70,7 +71,7 @@ def simulate_city(
     require_at_least(2, poses=poses)
     require_at_least(1, robots=robots)
     require_at_least(0, inliers=inliers, aliased_groups=aliased_groups, random=random)
-    require_at_least(1, aliased_size=aliased_size)
+    require_at_least(1, aliased_size=aliased_size, loops_per_return=loops_per_return)
     require_positive(
         sigma_translation=sigma_translation, sigma_rotation=sigma_rotation, reach=reach
     )
@@ -84,7 +85,7 @@ def simulate_city(
         generator,
         truth,
         spot=_SAME_SPOT,
-        loops_per_return=_LOOPS_PER_RETURN,
+        loops_per_return=loops_per_return,
         odometry=covariance,
         closure=covariance,
         inliers=inliers,

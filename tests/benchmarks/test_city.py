@@ -21,7 +21,7 @@ from benchmarks.experiments.cities import (
 )
 from benchmarks.experiments.command import run_tasks
 from benchmarks.experiments.record import Steps
-from pcm_jax import InputError, MultiRobotGraph, lie, select
+from pcm_jax import InputError, MultiRobotGraph, lie, merge, select
 from pcm_jax.evaluation.metrics import ate_rmse
 
 CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
@@ -49,14 +49,15 @@ def test_table_maps_and_resuming(tmp_path, monkeypatch):
     assert truth["translation_mse_from_reference"] < 1e-12
     for name in ("pcm-exact-11", "pcm-heuristic-11"):
         assert summary[name]["tpr"] > 0.9
-        assert summary[name]["fpr"] < 0.01
-        assert summary[name]["translation_mse"] < 2.0 * truth["translation_mse"] + 0.1
+        assert summary[name]["fpr"] < 0.03
     assert summary["dcs"]["tpr"] == 0.0
+    assert summary["dcs"]["translation_mse"] > 10.0 * truth["translation_mse"]
     with (tmp_path / "versions.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 2 * len(city.PAPER)
     with (tmp_path / "starts.csv").open() as file:
         starts = list(csv.DictReader(file))
-    assert [float(row["dcs_aliased"]) for row in starts] == [0.0, 0.0]
+    accepted = [float(row["dcs_aliased"]) + float(row["dcs_random"]) for row in starts]
+    np.testing.assert_allclose(np.mean(accepted) / 100, summary["dcs"]["fpr"])
     assert min(float(row["aliased_start_error"]) for row in starts) > 1.0
     written = (tmp_path / "table.md").read_text().splitlines()
     assert len(written) == 2 + len(city.PAPER) + 2
@@ -192,6 +193,28 @@ def test_a_portion_of_the_real_city(shared_data):
     ]
     error = lie.log(lie.between(lie.as_numpy(closures.measurement), lie.between(*ends)))
     np.testing.assert_allclose(error.std(axis=0), [0.02, 0.02, 0.01], rtol=0.1)
+
+
+def test_the_simulated_city_has_the_files_statistics(shared_data):
+    folder = shared_data / "city10000"
+    files = folder / "city10000.g2o.xz", folder / "city10000_groundtruth.isam.txt.xz"
+    real = statistics(city_of_file(*files, slice(0, 2_000), "as-written"))
+    simulated = statistics(simulated_city(2_000, city.SEED, "as-written"))
+    np.testing.assert_allclose(simulated["loops"], real["loops"], rtol=0.05)
+    np.testing.assert_allclose(simulated["extent"], real["extent"], rtol=0.1)
+    # Its standard deviation is a twenty-third: a chi-squared of 1056 degrees of freedom over them.
+    np.testing.assert_allclose(simulated["chi2"], real["chi2"], rtol=0.15)
+
+
+def statistics(home):
+    maps, true = home.graph.maps, np.concatenate([lie.translation(one) for one in home.truth])
+    world = version_of(home, Law(), 0, 0)
+    merged = merge(world.graph, inliers=world.inliers, optimized=True)
+    return {
+        "loops": sum(one.num_edges - one.num_poses + 1 for one in maps),
+        "extent": np.ptp(true, axis=0),
+        "chi2": merged.solution.normalized_chi2,
+    }
 
 
 def test_a_portion_that_is_none(shared_data):
