@@ -48,16 +48,11 @@ from benchmarks.experiments.city_report import (
     sweep_of,
     table,
     telling,
+    version_rows,
     write_sweep,
 )
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
-from benchmarks.experiments.record import (
-    LIBRARY,
-    Steps,
-    means_by_method,
-    rows_by_method,
-    write_csv,
-)
+from benchmarks.experiments.record import LIBRARY, Steps, means_by_method, write_csv
 from benchmarks.suite.harness import DATA, write_json
 from pcm_jax.evaluation import Compared, Method, compare_methods
 from pcm_jax.evaluation.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER
@@ -123,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     versions = run_tasks("versions", tasks, steps, jobs=options.jobs)
     summary = means_by_method(versions.values())
     write_json(options.out / "summary.json", summary)
-    write_csv(options.out / "versions.csv", rows_by_method(versions))
+    write_csv(options.out / "versions.csv", version_rows(versions))
     write_csv(options.out / "starts.csv", start_rows(versions))
     (options.out / "table.md").write_text(f"{table(summary)}\n\n{len(versions)} versions\n")
     merging = len(versions) * sum(row["seconds"] for row in summary.values())

@@ -41,6 +41,13 @@ COLUMNS = {
     "seconds": "seconds",
 }
 
+PER_VERSION = (
+    *("tpr", "fpr", "accepted", "aliased", "random", "translation_mse", "ate_rmse"),
+    *("rotation_mse", "translation_mse_from_reference", "rotation_mse_from_reference"),
+    *("residual", "chi2", "iterations", "converged", "seconds"),
+)
+"""Columns of versions.csv."""
+
 GATES = np.array([0.01, *np.arange(1, 19) * 0.05, 0.99]).round(2)
 """The 20 confidences of Fig. 4."""
 SWEPT = ("pcm-exact", "pcm-heuristic", "ransac")
@@ -69,6 +76,15 @@ def table(summary: Mapping[str, Mapping[str, float]]) -> str:
     }
     known = {column for row in rows.values() for column in row}
     return comparison_table(rows, {k: v for k, v in COLUMNS.items() if k in known})
+
+
+def version_rows(runs: Mapping[str, Run]) -> list[dict[str, Any]]:
+    """For each version and method the columns of `PER_VERSION`, of six digits."""
+    return [
+        {"run": run, "method": method, **{name: f"{row[name]:.6g}" for name in PER_VERSION}}
+        for run, result in runs.items()
+        for method, row in result["methods"].items()
+    ]
 
 
 def start_rows(runs: Mapping[str, Run]) -> list[dict[str, Any]]:
