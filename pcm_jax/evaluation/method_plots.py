@@ -141,11 +141,21 @@ def plot_seconds(
         ax.plot(*np.transpose(ends), **_GAVE_UP)
     ax.set_xscale("log")
     ax.set_yscale("log")
+    _count_in_plain_numbers(ax)
     ax.set_xlabel(xlabel)
     ax.set_ylabel("time (s)")
     ax.grid(alpha=0.3)
     legend_below(ax, offset=-0.2)
     return ax
+
+
+def _count_in_plain_numbers(ax: Any) -> None:
+    """Ticks at 1, 2 and 5 of each decade, so that a short axis has some, without powers of ten."""
+    from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
+
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
+    ax.xaxis.set_minor_locator(NullLocator())
 
 
 def plot_precision_recall(scores: Mapping[str, Mapping[str, Any]], *, ax: Any = None) -> Any:
