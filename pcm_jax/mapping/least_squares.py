@@ -89,10 +89,10 @@ class PoseProblem:
         from pcm_jax.mapping.normal_equations import system_for
 
         tail, head, held = np.asarray(tail), np.asarray(head), np.asarray(fixed)
-        self.poses, self.edges = len(held), len(tail)
-        self._size = padded_size(self.poses, self.edges)
-        self._system = system_for(self.poses, tail, head, held, information.shape[-1])
-        self._free = np.pad(~held, (0, self._size - self.poses))
+        self._poses, self._edges = len(held), len(tail)
+        self._size = padded_size(self._poses, self._edges)
+        self._system = system_for(self._poses, tail, head, held, information.shape[-1])
+        self._free = np.pad(~held, (0, self._size - self._poses))
         self._padded = padded_edges(tail, head, measurement, information, size=self._size)
 
     @in_float64
@@ -129,7 +129,7 @@ class PoseProblem:
         run = _compiled(method, engine, rtol, atol)
         final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
         return Solved(
-            lie.take(lie.as_numpy(final), slice(0, self.poses)),
+            lie.take(lie.as_numpy(final), slice(0, self._poses)),
             float(initial_cost),
             float(cost),
             int(steps),
@@ -140,7 +140,7 @@ class PoseProblem:
         if scale is None:
             return self._padded
         whitening: Any = np.array(self._padded.whitening)
-        whitening[..., : self.edges] *= scale
+        whitening[..., : self._edges] *= scale
         return dataclasses.replace(self._padded, whitening=whitening)
 
 

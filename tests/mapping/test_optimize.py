@@ -16,9 +16,9 @@ from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping import optimize
-from pcm_jax.mapping.least_squares import padded_edges
+from pcm_jax.mapping.least_squares import PoseProblem, padded_edges
 from pcm_jax.mapping.linearization import linearize, retract, whitened_residual
-from pcm_jax.mapping.normal_equations import BlockCholesky, BlockJacobian, system_for
+from pcm_jax.mapping.normal_equations import BlockCholesky, BlockJacobian, System, system_for
 from pcm_jax.mapping.optimization import host_arrays
 
 STARTS = ["chordal", "spanning-tree", "given"]
@@ -120,6 +120,36 @@ def test_giving_up_is_reported_not_raised(group, make_map):
     assert not solution.converged
     assert solution.iterations <= 3
     assert solution.cost <= solution.initial_cost
+
+
+def test_the_last_evaluation_is_not_followed_by_a_factorisation(make_map, monkeypatch):
+    """Nobody would judge where its step leads."""
+    factorised, factorize = [], System.factorize
+
+    def counted(self, *arguments):
+        factorised.append(True)
+        return factorize(self, *arguments)
+
+    monkeypatch.setattr(System, "factorize", counted)
+    solution = optimize(make_map(noise=0.3), initial="given", max_steps=2)
+    assert solution.iterations == 1
+    assert len(factorised) == 1
+
+
+def test_scaled_edges_are_edges_of_scaled_information(group, make_map):
+    graph = make_map(group, noise=0.05)
+    tail, head, measurement, information = host_arrays(graph)
+    scale = np.random.default_rng(0).uniform(0.1, 2.0, len(tail))
+    first, start = np.arange(graph.num_poses) == 0, lie.as_numpy(graph.poses)
+    scaled = (scale**2)[:, None, None] * information
+    expected = PoseProblem(tail, head, measurement, scaled, first).solve(start)
+    problem = PoseProblem(tail, head, measurement, information, first)
+    for _ in range(2):  # it is not used up
+        found = problem.solve(start, scale=scale)
+        np.testing.assert_allclose(found.cost, expected.cost, rtol=1e-9)
+        poses = lie.parameters(found.poses), lie.parameters(expected.poses)
+        np.testing.assert_allclose(*poses, atol=1e-7)
+    assert problem.solve(start).cost != pytest.approx(expected.cost, rel=1e-3)
 
 
 def test_names_are_checked(make_map):
