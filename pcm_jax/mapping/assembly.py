@@ -23,7 +23,6 @@ from pcm_jax.mapping.symbolic import FrontTree, front_tree, ragged_arange
 
 PADDED_PIVOTS = np.array([1, 2, 3, 4, 6, 8, 12, 16])
 PADDED_RESTS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24])
-CACHED_PLANS = 64
 
 
 class FrontGroup(NamedTuple):
@@ -86,8 +85,8 @@ class CholeskyPlan:
         return self.tree.position
 
 
-_trees: PatternCache[FrontTree] = PatternCache(CACHED_PLANS)
-_plans: PatternCache[CholeskyPlan] = PatternCache(CACHED_PLANS)
+_trees: PatternCache[FrontTree] = PatternCache()
+_plans: PatternCache[CholeskyPlan] = PatternCache()
 
 
 def plan_for(

@@ -28,8 +28,6 @@ from pcm_jax.mapping.cholesky import CholeskyFactor, NotPositiveDefiniteError, f
 from pcm_jax.mapping.linearization import apart, multiply
 from pcm_jax.mapping.pattern_cache import PatternCache
 
-CACHED_SYSTEMS = 64
-
 
 class System:
     """The pattern of a pose graph's normal equations, with some poses held fixed.
@@ -105,7 +103,7 @@ class System:
 
 _handles = itertools.count()
 _systems: WeakValueDictionary[int, System] = WeakValueDictionary()
-_recent: PatternCache[System] = PatternCache(CACHED_SYSTEMS)
+_recent: PatternCache[System] = PatternCache()
 
 
 def _ones(row: np.ndarray, column: np.ndarray, shape: tuple[int, int]) -> Any:
