@@ -7,6 +7,7 @@ measure      time (compilation apart), memory, the machine
 report       summary.json, the table, the committed baseline, the table in benchmarks/README.md
 maps         the pose graphs measured on: public files, or simulated ones where those are absent
 gtsam_peer   the same graphs, solves and marginals by GTSAM
+clique_peers, clique_graphs   maximum cliques by other packages, and the graphs for it
 
 One module per subject, each with a list `CASES`: optimization, marginals, distances, cliques,
 calibration, files, end_to_end.

@@ -1,34 +1,42 @@
-"""Step iii: the exact clique search on graphs like the paper's, planted and random ones."""
+"""Step iii: exact clique searches on the paper's graph, planted, hard, random and small ones."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
 
+import jax
 import jax.numpy as jnp
-import networkx as nx
 import numpy as np
-from jaxtyping import Bool
 
-from benchmarks.suite.harness import Case, Measured, Metric, Settings
-from benchmarks.suite.measure import against, alone, race, timing_of
-from pcm_jax import consistency_graph, maximum_clique, select, select_from, to_networkx
+from benchmarks.suite.clique_graphs import (
+    HARD,
+    consistency_like,
+    planted_graph,
+    random_graph,
+)
+from benchmarks.suite.clique_peers import PEERS, installed, missing, within
+from benchmarks.suite.harness import Case, Measured, Metric, NotMeasuredError, Settings
+from benchmarks.suite.measure import Patience, against, alone, race, timing_of
+from pcm_jax import consistency_graph, maximum_clique, select, select_from
+from pcm_jax.clique import maximum_clique_batched
 from pcm_jax.simulation import simulate_city
 
-PLANTED = {"planted-150": (1_000, 150), "planted-300": (3_000, 300)}
+PLANTED = {"planted-150": (1_000, 150), "planted-300": (3_000, 300), "planted-500": (10_000, 500)}
 BACKGROUND = 0.05
 RANDOM_GRAPHS, LARGEST = 1_000, 14
+SMALL, ONE_BY_ONE = 10_000, 1_000
+SECONDS = {"networkx": 4.0, "networkit": 1.0, "cliquematch": 1.0}
+"""Of computing, after which a peer is said not to finish a hard graph."""
 
 
 def paper(settings: Settings) -> dict[str, Measured]:
     """The consistency graph of 15 true, 2 x 5 aliased and 90 random closures in a city."""
     (pair,) = select(simulate_city().graph).pairs
     adjacency = consistency_graph(jnp.asarray(pair.squared), pair.gate)
-    graph, peer = np.asarray(adjacency), to_networkx(adjacency)
+    graph = np.asarray(adjacency)
+    by_networkx = PEERS["networkx"].ready(graph)
     times = race(
-        {
-            "ours": lambda: lambda: maximum_clique(graph),
-            "networkx": lambda: lambda: _by_networkx(peer),
-        },
+        {"ours": lambda: lambda: maximum_clique(graph), "networkx": lambda: by_networkx},
         settings.patience,
     )
     ours, theirs = times["ours"], times["networkx"]
@@ -42,9 +50,19 @@ def paper(settings: Settings) -> dict[str, Measured]:
 
 def planted(settings: Settings) -> dict[str, Measured]:
     """Cliques planted into random graphs."""
+    return _planted(settings, ("planted-150", "planted-300"))
+
+
+def planted_large(settings: Settings) -> dict[str, Measured]:
+    """The same in a graph of 100 MB."""
+    return _planted(settings, ("planted-500",))
+
+
+def _planted(settings: Settings, names: Sequence[str]) -> dict[str, Measured]:
     found = {}
-    for name, (size, members) in PLANTED.items():
-        graph = _planted_graph(size, members)
+    for name in names:
+        size, members = PLANTED[name]
+        graph = planted_graph(size, members, BACKGROUND, seed=size)
         clique = maximum_clique(graph)
         timing = timing_of(lambda graph=graph: maximum_clique(graph), settings.patience)
         note = f"{clique.size} of {size:,}, proven: {clique.optimal}; {alone(timing)}"
@@ -53,38 +71,108 @@ def planted(settings: Settings) -> dict[str, Measured]:
     return found
 
 
+def hard(settings: Settings) -> dict[str, Measured]:
+    """The hard graphs, and how long a C++ solver takes for them."""
+    if not installed("mcqd"):
+        raise NotMeasuredError(missing("passagemath-mcqd"))
+    patience = Patience(1, 0.1) if settings.quick else Patience(3, 0.5, most_seconds=5.0)
+    right, ratios = 0, {}
+    for name, (construct, known) in HARD.items():
+        graph = construct()
+        by_mcqd = PEERS["mcqd"].ready(graph)
+        size, clique = by_mcqd(), maximum_clique(graph)
+        right += clique.optimal and clique.size == size == (known or size)
+        times = race(
+            {
+                "ours": lambda graph=graph: lambda: maximum_clique(graph),
+                "mcqd": lambda by_mcqd=by_mcqd: by_mcqd,
+            },
+            patience,
+        )
+        ratios[name] = times["ours"].median / times["mcqd"].median
+    note = ", ".join(f"{name} {ratio:.2g}" for name, ratio in ratios.items())
+    worst = max(ratios, key=ratios.__getitem__)
+    return {
+        "right": Measured(float(right), "proven, and as large as known or as mcqd's"),
+        "over_mcqd": Measured(_geometric_mean(list(ratios.values())), note),
+        "worst_over_mcqd": Measured(ratios[worst], worst),
+    }
+
+
+def hard_peers(settings: Settings) -> dict[str, Measured]:
+    """The hard graphs by peers that do not finish all of them."""
+    ratios: dict[str, dict[str, float]] = {peer: {} for peer in SECONDS}
+    for name, (construct, _) in HARD.items():
+        graph = construct()
+        clique = maximum_clique(graph)
+        ours = timing_of(lambda graph=graph: maximum_clique(graph), Patience(3, 0.2, 1.0))
+        for peer in filter(installed, SECONDS):
+            if (theirs := within(SECONDS[peer], peer, graph)) is not None:
+                seconds, size = theirs
+                if size != clique.size:
+                    raise RuntimeError(f"{name}: {size} by {peer}, {clique.size} by us")
+                ratios[peer][name] = ours.median / seconds
+    return {
+        "over_networkx": _over("networkx", ratios["networkx"], max),
+        "over_networkit": _over("networkit", ratios["networkit"], _geometric_mean),
+        "over_cliquematch": _over("cliquematch", ratios["cliquematch"], _geometric_mean),
+    }
+
+
+def _over(
+    peer: str, ratios: dict[str, float], summary: Callable[[Sequence[float]], float]
+) -> Measured:
+    if not installed(peer):
+        return Measured(None, missing(peer))
+    each = ", ".join(f"{name} {ratio:.2g}" for name, ratio in ratios.items())
+    note = f"{len(ratios)} of {len(HARD)} in {SECONDS[peer]:g} s: {each}"
+    return Measured(summary(list(ratios.values())) if ratios else None, note)
+
+
+def batched(settings: Settings) -> dict[str, Measured]:
+    """Many small graphs in one compiled program, against one by one; both by the graph."""
+    dense = np.stack([random_graph(64, 0.5, seed) for seed in range(SMALL)])
+    return {
+        "consistency-like": _batched(consistency_like(SMALL, 64, seed=0), settings),
+        "dense": _batched(dense, settings),
+    }
+
+
+def _batched(graphs: np.ndarray, settings: Settings) -> Measured:
+    search = jax.jit(maximum_clique_batched)
+    resident, few = jnp.asarray(graphs), graphs[:ONE_BY_ONE]
+    found = np.asarray(search(resident).members[:ONE_BY_ONE])
+    expected = np.stack([maximum_clique(graph).members for graph in few])
+    times = race(
+        {
+            "batched": lambda: lambda: jax.block_until_ready(search(resident)),
+            "one by one": lambda: lambda: [maximum_clique(graph) for graph in few],
+        },
+        settings.patience,
+    )
+    together, single = times["batched"].median / len(graphs), times["one by one"].median / len(few)
+    same = int((found == expected).all(axis=1).sum())
+    note = f"{1e6 * together:.3g} against {1e6 * single:.3g} µs a graph, {same} of {len(few)} equal"
+    return Measured(together / single if same == len(few) else None, note)
+
+
 def random_graphs(settings: Settings) -> dict[str, Measured]:
     """How many random graphs get a clique as large as networkx's and as enumeration's."""
     generator = np.random.default_rng(0)
     equal = 0
-    for _ in range(RANDOM_GRAPHS):
+    for seed in range(RANDOM_GRAPHS):
         size, density = int(generator.integers(1, LARGEST + 1)), generator.random()
-        graph = _random_graph(generator, size, density)
+        graph = random_graph(size, density, seed)
         ours = maximum_clique(graph).size
         enumerated = select_from(np.where(graph, 0.0, 2.0), 1.0, method="combinatorial")
-        theirs = _by_networkx(nx.from_numpy_array(graph))
+        theirs = PEERS["networkx"].ready(graph)()
         equal += ours == theirs == int(enumerated.sum())
     note = f"up to {LARGEST} nodes, of every density"
     return {"as_networkx_and_enumeration": Measured(float(equal), note)}
 
 
-def _by_networkx(graph: Any) -> int:
-    nodes_only: Any = None  # as its documentation says, which its stubs do not know
-    return nx.max_weight_clique(graph, weight=nodes_only)[1]
-
-
-def _random_graph(generator: Any, size: int, density: float) -> Bool[np.ndarray, "n n"]:
-    upper = np.triu(generator.random((size, size)) < density, 1)
-    return upper | upper.T
-
-
-def _planted_graph(size: int, members: int) -> Bool[np.ndarray, "n n"]:
-    generator = np.random.default_rng(size)
-    graph = _random_graph(generator, size, BACKGROUND)
-    chosen = generator.permutation(size)[:members]
-    graph[np.ix_(chosen, chosen)] = True
-    np.fill_diagonal(graph, False)
-    return graph
+def _geometric_mean(values: Sequence[float]) -> float:
+    return float(np.exp(np.log(values).mean()))
 
 
 CASES = [
@@ -95,8 +183,43 @@ CASES = [
     ),
     Case(
         "cliques/planted",
-        (Metric("planted-150", "s"), Metric("planted-300", "s", figure=3.0)),
+        (Metric("planted-150", "s", figure=0.05), Metric("planted-300", "s", figure=0.3)),
         planted,
+    ),
+    Case(
+        "cliques/planted-10000",
+        (Metric("planted-500", "s", figure=2.0),),
+        planted_large,
+        slow=True,
+    ),
+    Case(
+        "cliques/hard",
+        (
+            Metric("right", f"of {len(HARD)}", "higher", figure=float(len(HARD)), tolerance=0.0),
+            Metric("over_mcqd", "×", figure=2.0),
+            Metric("worst_over_mcqd", "×", figure=10.0),
+        ),
+        hard,
+        slow=True,
+    ),
+    Case(
+        "cliques/hard-peers",
+        (
+            Metric("over_networkx", "×", figure=0.05),
+            Metric("over_networkit", "×"),
+            Metric("over_cliquematch", "×"),
+        ),
+        hard_peers,
+        slow=True,
+    ),
+    Case(
+        "cliques/batched",
+        (
+            Metric("consistency-like", "×", figure=0.05),
+            Metric("dense", "×", figure=0.05),
+        ),
+        batched,
+        slow=True,
     ),
     Case(
         "cliques/random",
