@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
-from pcm_jax.mapping.cholesky import NotPositiveDefiniteError
+from pcm_jax.mapping.cholesky import CholeskyFactor, NotPositiveDefiniteError
 from pcm_jax.mapping.inverse_block import inverse_block
 from pcm_jax.mapping.least_squares import padded_edges, padded_size
 from pcm_jax.mapping.normal_equations import system_for
@@ -49,7 +49,8 @@ def joint_marginal_covariance(
     covariance = np.zeros((len(wanted), d, len(wanted), d))
     if len(free):
         rows, scalar = np.flatnonzero(wanted != 0), np.arange(d)
-        found = _covariance(pose_graph, free).reshape(len(free), d, len(free), d)
+        found = inverse_block(covariance_factor(pose_graph), free)
+        found = found.reshape(len(free), d, len(free), d)
         covariance[np.ix_(rows, scalar, rows, scalar)] = found
     return covariance.reshape(len(wanted) * d, len(wanted) * d)
 
@@ -69,14 +70,20 @@ def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
     return poses.astype(np.int64)
 
 
-def _covariance(graph: PoseGraph, wanted: np.ndarray) -> np.ndarray:
-    """The block of H⁻¹ of poses that are not held."""
+def covariance_factor(graph: PoseGraph) -> CholeskyFactor:
+    """The factor of H, whose inverse is the covariance of all poses but the first.
+
+    The first pose, which is held, has an identity block and is tied to none.
+
+    Raises:
+        InputError: for a singular map.
+    """
     tail, head, measurement, information = host_arrays(graph)
     fixed = np.arange(graph.num_poses) == 0
     products = _edge_information(graph.poses, tail, head, measurement, information)
     system = system_for(graph.num_poses, tail, head, fixed, graph.tangent_dim)
     try:
-        return inverse_block(system.factorize(products), wanted)
+        return system.factorize(products)
     except NotPositiveDefiniteError as error:
         raise InputError(
             f"pose_graph {graph.name!r}: its information is singular: some pose is tied to the"

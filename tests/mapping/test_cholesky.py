@@ -5,7 +5,7 @@ import pytest
 
 from pcm_jax.mapping.assembly import plan_for
 from pcm_jax.mapping.cholesky import NotPositiveDefiniteError, blas_threads, factorize, limited_to
-from pcm_jax.mapping.inverse_block import inverse_block
+from pcm_jax.mapping.inverse_block import inverse_block, inverse_columns, inverse_diagonal
 from pcm_jax.mapping.symbolic import front_tree
 
 RNG = np.random.default_rng(3)
@@ -92,6 +92,22 @@ def test_inverse_block_is_that_of_the_dense_inverse(pattern, d):
     found = inverse_block(factorize(plan, blocks), wanted)
     np.testing.assert_allclose(found, expected, atol=1e-13)
     np.testing.assert_array_equal(found, found.T)
+
+
+@pytest.mark.parametrize("d", [3, 6])
+def test_columns_and_diagonal_are_those_of_the_dense_inverse(pattern, d, monkeypatch):
+    monkeypatch.setattr("pcm_jax.mapping.inverse_block.POSES_AT_ONCE", 16)
+    size, tail, head = pattern
+    plan, blocks, dense = random_system(size, tail, head, d)
+    factor = factorize(plan, blocks)
+    expected = np.linalg.inv(dense).reshape(size, d, size, d)
+    wanted = RNG.permutation(size)[: max(1, size // 3)]
+    right = RNG.normal(size=(len(wanted), d, d))
+    columns = inverse_columns(factor, wanted, right)[plan.position]
+    products = np.einsum("iajb,jbc->iacj", expected[:, :, wanted], right)
+    np.testing.assert_allclose(columns, products, atol=1e-12)
+    diagonal = inverse_diagonal(factor, wanted)
+    np.testing.assert_allclose(diagonal, expected[wanted, :, wanted], atol=1e-13)
 
 
 def test_a_long_chain_is_solved():
