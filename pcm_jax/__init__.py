@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from pcm_jax.clique import Clique, maximum_clique
     from pcm_jax.consistency import (
         ConsistencyProblem,
+        PackedGraph,
         chi2_gate,
         consistency_graph,
         consistency_problem,
         squared_mahalanobis,
         squared_mahalanobis_of,
+        stream_consistency_graph,
         to_networkx,
     )
     from pcm_jax.errors import FileFormatError, InputError, InputWarning
@@ -50,6 +52,7 @@ __all__ = [
     "LoopClosures",
     "MergeResult",
     "MultiRobotGraph",
+    "PackedGraph",
     "PoseGraph",
     "Selection",
     "Solution",
@@ -71,6 +74,7 @@ __all__ = [
     "split",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
+    "stream_consistency_graph",
     "to_networkx",
     "write_g2o",
     "write_trajectory",
@@ -83,11 +87,13 @@ _NAMES_OF = {
     "mapping": ("Solution", "joint_marginal_covariance", "optimize"),
     "consistency": (
         "ConsistencyProblem",
+        "PackedGraph",
         "chi2_gate",
         "consistency_graph",
         "consistency_problem",
         "squared_mahalanobis",
         "squared_mahalanobis_of",
+        "stream_consistency_graph",
         "to_networkx",
     ),
     "clique": ("Clique", "maximum_clique"),

@@ -15,7 +15,8 @@ The largest set of closures that all agree, step iii, is the largest clique of t
 
 `within_problem` is step 1 for the loop closures inside one robot's own map, where a closure also
 closes a loop with odometry alone (`squared_own_loops`). `squared_mahalanobis_of` does step 2 for
-any residual of two measurements.
+any residual of two measurements. `stream_consistency_graph` does 1, 2 and 4 together for tens of
+thousands of closures, whose distances no memory holds.
 """
 
 from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
@@ -23,10 +24,12 @@ from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
 from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops
 from pcm_jax.consistency.problem import ConsistencyProblem, consistency_problem
+from pcm_jax.consistency.streaming import PackedGraph, stream_consistency_graph
 from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
 
 __all__ = [
     "ConsistencyProblem",
+    "PackedGraph",
     "WithinProblem",
     "chi2_gate",
     "consistency_graph",
@@ -36,6 +39,7 @@ __all__ = [
     "squared_mahalanobis",
     "squared_mahalanobis_of",
     "squared_own_loops",
+    "stream_consistency_graph",
     "to_networkx",
     "within_problem",
 ]

@@ -52,7 +52,7 @@ TILE = 64
 
 def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Array, "m m"]:
     """q² of all ordered pairs; padding is computed like anything else."""
-    placed, noise = _per_closure(problem)
+    placed, noise = per_closure(problem)
     count = problem.valid.shape[0]
     blocks = -(-count // TILE)
     size = -(-count // blocks)
@@ -73,7 +73,7 @@ def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Arr
 
 def own_loop_kernel(problem: WithinProblem) -> Float[Array, " m"]:
     """q² of the loop that each closure makes with odometry alone."""
-    placed, noise = _per_closure(problem)
+    placed, noise = per_closure(problem)
     module = lie.module_of(lie.group_of(problem.measurement))
     error = module.log(module.inverse(tuple(placed)))
     cumulated = problem.cumulated_covariance
@@ -81,13 +81,18 @@ def own_loop_kernel(problem: WithinProblem) -> Float[Array, " m"]:
     return unrolled.inverse_quadratic_form(unrolled.unpack(total), error)
 
 
-def _per_closure(problem: ConsistencyProblem | WithinProblem) -> tuple[Any, Any]:
-    """T_u as components `[p, m]`, and Z_u packed, `[d(d+1)/2, m]`."""
-    module = lie.module_of(lie.group_of(problem.measurement))
-    pose_a, pose_b = lie.components(problem.pose_a), lie.components(problem.pose_b)
-    reached = module.compose(pose_a, lie.components(problem.measurement))
+def per_closure(closures: Any) -> tuple[Any, Any]:
+    """T_u as components `[p, m]`, and Z_u packed, `[d(d+1)/2, m]`.
+
+    Args:
+        closures: a problem, or anything else with its `measurement`, `measurement_covariance`,
+            `pose_a` and `pose_b`.
+    """
+    module = lie.module_of(lie.group_of(closures.measurement))
+    pose_a, pose_b = lie.components(closures.pose_a), lie.components(closures.pose_b)
+    reached = module.compose(pose_a, lie.components(closures.measurement))
     placed = module.compose(reached, module.inverse(pose_b))
-    covariance = unrolled.from_array(problem.measurement_covariance)
+    covariance = unrolled.from_array(closures.measurement_covariance)
     noise = unrolled.pack(module.adjoint_sandwich(reached, covariance))
     return jnp.stack(placed), jnp.stack(noise)
 
@@ -95,12 +100,29 @@ def _per_closure(problem: ConsistencyProblem | WithinProblem) -> tuple[Any, Any]
 def _tile(
     problem: ConsistencyProblem | WithinProblem, placed: Any, noise: Any, u: Any, v: Any
 ) -> tuple[Any, Any]:
-    """q²_uv and q²_vu for closures `u` (rows) and `v` (columns)."""
-    module = lie.module_of(lie.group_of(problem.measurement))
+    """q²_uv and q²_vu for closures `u` (rows) and `v` (columns) of a problem."""
     if isinstance(problem, WithinProblem):
-        side_a, side_b, both_sides = _one_map(problem, u, v)
+        sides = _one_map(problem, u, v)
     else:
-        (side_a, side_b), both_sides = _two_maps(problem, u, v), None
+        sides = (*_two_maps(problem, u, v), None)
+    module = lie.module_of(lie.group_of(problem.measurement))
+    return weigh(module, placed, noise, (u, v), sides)
+
+
+def weigh(
+    module: ModuleType, placed: Any, noise: Any, tile: tuple[Any, Any], sides: tuple[Any, Any, Any]
+) -> tuple[Any, Any]:
+    """q²_uv and q²_vu of a tile.
+
+    Args:
+        module: of the group.
+        placed, noise: of `per_closure`.
+        tile: int `[r]` and `[c]`, the closures u (rows) and v (columns).
+        sides: Ga_ij and Gb_kl, packed, each a leading axis or a tuple of `[r, c]`, and None;
+            within one map A, B and (s, O).
+    """
+    u, v = tile
+    side_a, side_b, both_sides = sides
     t_u = tuple(component[u][:, None] for component in placed)
     t_v = tuple(component[v][None, :] for component in placed)
     error = _error(module, t_u, t_v)
@@ -110,13 +132,13 @@ def _tile(
 
 def _two_maps(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:
     """Ga_ij and Gb_kl, packed, of all pairs of a tile."""
+    side_a = gather(problem.relative_covariance_a, problem.row_a[u], problem.row_a[v])
+    return side_a, gather(problem.relative_covariance_b, problem.row_b[u], problem.row_b[v])
 
-    def gather(packed: Any, rows: Any) -> Any:
-        # The rows are the problem's own, so no index is checked.
-        return packed.at[:, rows[u][:, None], rows[v][None, :]].get(mode="promise_in_bounds")
 
-    side_a = gather(problem.relative_covariance_a, problem.row_a)
-    return side_a, gather(problem.relative_covariance_b, problem.row_b)
+def gather(packed: Any, rows: Any, columns: Any) -> Any:
+    """G of all pairs of a tile; the rows and columns are the caller's own, so none is checked."""
+    return packed.at[:, rows[:, None], columns[None, :]].get(mode="promise_in_bounds")
 
 
 def _one_map(problem: WithinProblem, u: Any, v: Any) -> tuple[Any, Any, Any]:

@@ -101,11 +101,10 @@ def consistency_problem(
         InputError: for closures of several robot pairs, a pose that a map does not have, groups
             that differ, or marginals of a wrong shape, not finite or not symmetric.
     """
-    group = _common_group(map_a, map_b, closures)
-    _check_one_pair(closures)
+    group = check_pair(map_a, map_b, closures)
     side_a, side_b = marginals if marginals is not None else (None, None)
-    a = _one_map(map_a, np.asarray(closures.pose_a), side_a, "pose_a", "marginals[0]")
-    b = _one_map(map_b, np.asarray(closures.pose_b), side_b, "pose_b", "marginals[1]")
+    a = _one_map(map_a, np.asarray(closures.pose_a), side_a, "marginals[0]")
+    b = _one_map(map_b, np.asarray(closures.pose_b), side_b, "marginals[1]")
     count = len(lie.parameters(closures.measurement))
     size = padded_size(count, closures=count)
     covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
@@ -134,11 +133,8 @@ class _OneMap:
     relative_covariance: np.ndarray
 
 
-def _one_map(
-    pose_graph: PoseGraph, touching: np.ndarray, joint: Any, argument: str, name: str
-) -> _OneMap:
+def _one_map(pose_graph: PoseGraph, touching: np.ndarray, joint: Any, name: str) -> _OneMap:
     poses = lie.as_numpy(pose_graph.poses)
-    _check_indices(touching, len(lie.parameters(poses)), argument)
     touched, first, rows = np.unique(touching, return_index=True, return_inverse=True)
     moved = recentred(lie.take(poses, touched))
     if joint is not None:
@@ -204,6 +200,19 @@ def relative_covariance(
 def padded(transforms: Any, size: int) -> Any:
     """A NumPy-backed batch as a device one of `size`, float64; the last element repeated."""
     return lie.as_device(lie.pad_leading(transforms, size))
+
+
+def check_pair(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> Any:
+    """The group of two maps and the closures between them.
+
+    Raises:
+        InputError: as `consistency_problem` does.
+    """
+    group = _common_group(map_a, map_b, closures)
+    _check_one_pair(closures)
+    _check_indices(np.asarray(closures.pose_a), map_a.num_poses, "pose_a")
+    _check_indices(np.asarray(closures.pose_b), map_b.num_poses, "pose_b")
+    return group
 
 
 def _common_group(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> Any:
