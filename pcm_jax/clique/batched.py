@@ -87,7 +87,7 @@ def maximum_clique_batched(
 
 
 class _Node(NamedTuple):
-    """Where a search stands: sets [w, lanes]; as a stack, [w, depth, lanes]."""
+    """Where a search stands: sets [w, lanes]; as a stack, [w, depth · lanes]."""
 
     path: Array  # chosen
     candidates: Array  # adjacent to all of them, and not yet excluded
@@ -101,7 +101,7 @@ class _Lanes(NamedTuple):
     steps: Array  # left before the search gives up
     near: Array  # neighbours [w, lanes, m]
     node: _Node
-    colours: Array  # left for the branches
+    colours: Array  # left for the branches, not negative
     class_: Array  # what may still join the present colour class
     stack: _Node  # nodes to return to; entries from `height` on are leftovers
     height: Array  # of the stack; negative once the search is complete
@@ -177,7 +177,7 @@ def _idle(queue: _Queue) -> _Lanes:
     lanes = min(_LANES, number)
     none = jnp.zeros((words, lanes), queue.near.dtype)
     zero = jnp.zeros(lanes, jnp.int32)
-    stack = jnp.zeros((words, m, lanes), none.dtype)
+    stack = jnp.zeros((words, m * lanes), none.dtype)
     return _Lanes(
         graph=jnp.full(lanes, number, jnp.int32),
         steps=zero,
@@ -224,7 +224,7 @@ def _start(lanes: _Lanes, queue: _Queue, fresh: Array) -> _Lanes:
         steps=choose(queue.steps[index], lanes.steps),
         near=jnp.where(fresh[:, None], queue.near[:, index], lanes.near),
         node=choose(_Node(none, candidates, candidates), lanes.node),
-        colours=choose(size - precedes(candidates, best), lanes.colours),
+        colours=choose(jnp.maximum(size - precedes(candidates, best), 0), lanes.colours),
         class_=choose(none, lanes.class_),
         height=choose(jnp.zeros_like(size), lanes.height),
         best=choose(best, lanes.best),
@@ -235,13 +235,14 @@ def _start(lanes: _Lanes, queue: _Queue, fresh: Array) -> _Lanes:
 def _step(lanes: _Lanes) -> _Lanes:
     """One vertex is coloured or, where no colour is left, one branch entered."""
     new_class = ~some(lanes.class_)
-    left = some(lanes.node.branches)
-    colouring = ~new_class | (left & (lanes.colours > 0))
-    returning = ~colouring & ~left
-    height = lanes.height - returning
-    top = jnp.maximum(height, 0), np.arange(len(height))
+    # As many colours as vertices without one are enough.
+    exhausted = new_class & (count(lanes.node.branches) <= lanes.colours)
+    colouring = ~new_class | (~exhausted & (lanes.colours > 0))
+    height = lanes.height - exhausted
+    lane = np.arange(len(height), dtype=np.int32)
+    top = jnp.maximum(height, 0) * len(height) + lane
     node = jax.tree.map(
-        lambda stack, node: jnp.where(returning, stack.at[:, *top].get(mode="clip"), node),
+        lambda stack, node: jnp.where(exhausted, stack.at[:, top].get(mode="clip"), node),
         lanes.stack,
         lanes.node,
     )
@@ -249,7 +250,7 @@ def _step(lanes: _Lanes) -> _Lanes:
     # Colours go to the largest vertices first, so that the smallest are left to branch on.
     vertex = jnp.where(colouring, last(class_), first(node.branches))
     vertex = jnp.clip(vertex, 0, lanes.near.shape[-1] - 1)
-    near, itself = lanes.near[:, top[1], vertex], single(vertex, class_)
+    near, itself = lanes.near[:, lane, vertex], single(vertex, class_)
 
     node = node._replace(
         candidates=jnp.where(colouring, node.candidates, node.candidates & ~itself),
@@ -261,17 +262,17 @@ def _step(lanes: _Lanes) -> _Lanes:
     larger = depth > lanes.size
     better = active & (larger | ((depth == lanes.size) & precedes(path, lanes.best)))
     best, size = jnp.where(better, path, lanes.best), jnp.where(better, depth, lanes.size)
-    colours = size - depth - precedes(path | inside, best)
+    colours = jnp.maximum(size - depth - precedes(path | inside, best), 0)
     entered = active & (count(inside) > colours)
     return lanes._replace(
         node=jax.tree.map(
             lambda new, old: jnp.where(entered, new, old), _Node(path, inside, inside), node
         ),
-        colours=jnp.where(entered, colours, lanes.colours - (colouring & new_class)),
+        colours=jnp.where(colouring, lanes.colours - new_class, jnp.where(entered, colours, 0)),
         class_=jnp.where(colouring, class_ & ~near & ~itself, 0),
         # Written always: what is not entered lies above the stack's height.
         stack=jax.tree.map(
-            lambda stack, node: stack.at[:, *top].set(node, mode="drop", unique_indices=True),
+            lambda stack, node: stack.at[:, top].set(node, mode="drop", unique_indices=True),
             lanes.stack,
             node,
         ),

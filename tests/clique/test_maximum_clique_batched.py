@@ -45,10 +45,19 @@ def test_thousands_of_small_graphs():
 
 
 @pytest.mark.parametrize(
-    ("size", "count", "densest"), [(1, 2, 1.0), (33, 300, 0.8), (130, 20, 0.4)]
+    ("size", "count", "densest"), [(1, 2, 1.0), (32, 300, 0.8), (130, 20, 0.4)]
 )
 def test_sizes_around_and_beyond_the_words(size, count, densest):
     assert_same_as_one_by_one(random_graphs(count, size, size, densest))
+
+
+def test_hubs_in_sparse_surroundings():
+    """Branches that take fewer colours than they may: what is left is no other branch's."""
+    rng = np.random.default_rng(33)
+    hub = rng.random((6000, 33)) < 0.25
+    density = np.where(hub[:, :, None] | hub[:, None], 0.5, 0.1)
+    upper = np.triu(rng.random((6000, 33, 33)) < density, 1)
+    assert_same_as_one_by_one(upper | upper.transpose(0, 2, 1))
 
 
 def test_padded_planted_random_empty_and_complete_graphs_of_64_nodes():
