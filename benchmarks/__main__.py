@@ -16,6 +16,7 @@ SUBJECTS = (
     "optimization",
     "marginals",
     "distances",
+    "streaming",
     "calibration",
     "cliques",
     "files",

@@ -9,6 +9,6 @@ maps         the pose graphs measured on: public files, or simulated ones where 
 gtsam_peer   the same graphs, solves and marginals by GTSAM
 clique_peers, clique_graphs   maximum cliques by other packages, and the graphs for it
 
-One module per subject, each with a list `CASES`: optimization, marginals, distances, cliques,
-calibration, files, end_to_end.
+One module per subject, each with a list `CASES`: optimization, marginals, distances, streaming,
+cliques, calibration, files, end_to_end.
 """
