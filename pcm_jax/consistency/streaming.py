@@ -95,8 +95,9 @@ def stream_consistency_graph(
         closures: all from one robot to one other, as `LoopClosures.between` gives them.
         gate: γ², see `chi2_gate`.
         folder: where each finished panel is kept, at once and whole or not at all, named by what
-            the result depends on. A call with equal arguments goes on from what is there, so that
-            a kill costs one panel's work; other calls may share the folder. Files are left there.
+            the result depends on. A call with equal arguments goes on from what is there: a kill
+            costs the panel on the device and what was prepared of the next. Other calls may share
+            the folder. Files are left there.
         progress: called with the pairs done and the pairs in all after each panel.
         panel: closures at a time, a multiple of 64.
 
