@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         select,
         select_from,
         select_within,
+        soft_select,
     )
 
 __version__ = "0.1.0"
@@ -71,6 +72,7 @@ __all__ = [
     "select",
     "select_from",
     "select_within",
+    "soft_select",
     "split",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
@@ -104,6 +106,7 @@ _NAMES_OF = {
         "select",
         "select_from",
         "select_within",
+        "soft_select",
     ),
     "merging": ("MergeResult", "merge", "merge_differentiable"),
 }
