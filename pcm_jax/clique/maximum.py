@@ -92,8 +92,7 @@ def _exact(
         return found, int(degrees(adjacency).max()) + 1
     graph = BitGraph(adjacency[np.ix_(rest, rest)])
     labels = graph.labels_of(np.searchsorted(rest, found))
-    if graph.uncoloured(graph.everything, len(labels)):
-        labels = improved_clique(graph, labels, deadline=deadline)
+    labels = improved_clique(graph, labels, deadline=deadline)
     outcome = largest_clique(graph, graph.everything, len(labels), deadline=deadline)
     labels = outcome.labels or labels
     upper_bound = max(len(labels), _cheap_bound(graph, outcome.unsettled))
