@@ -63,7 +63,7 @@ MAPS = {
 }
 """The panels of Fig. 5."""
 
-_DPI, _COLORS = 110, 64
+_DPI, _COLORS = 110, 256
 
 Run = Mapping[str, Any]
 
