@@ -64,7 +64,7 @@ def with_block(text: str, table: str) -> str:
     """A document with the table between its markers."""
     before, _, rest = text.partition(MARKERS[0])
     _, _, after = rest.partition(MARKERS[1])
-    return f"{before}{MARKERS[0]}\n{table}\n{MARKERS[1]}{after}"
+    return f"{before}{MARKERS[0]}\n\n{table}\n\n{MARKERS[1]}{after}"
 
 
 if __name__ == "__main__":

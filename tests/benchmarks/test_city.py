@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import city
-from benchmarks.experiments import city_report
+from benchmarks.experiments import city_report, readme_table
 from benchmarks.experiments.cities import (
     Law,
     city_of_file,
@@ -222,3 +222,9 @@ def test_a_portion_that_is_none(shared_data):
     files = folder / "city10000.g2o.xz", folder / "city10000_groundtruth.isam.txt.xz"
     with pytest.raises(InputError, match="poses: 20:22 of 10000"):
         city_of_file(*files, slice(20, 22), "as-written")
+
+
+def test_the_readme_has_the_committed_table():
+    text = readme_table.README.read_text()
+    assert readme_table.with_block(text, readme_table.block()) == text
+    assert "| PCM-Exact 99 %, calibrated |" in text
