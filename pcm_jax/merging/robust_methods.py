@@ -115,8 +115,10 @@ def gnc(gate: float, dof: int) -> Reweighting:
     H. Yang, P. Antonante, V. Tzoumas and L. Carlone, "Graduated non-convexity for robust spatial
     perception", RA-L 2020.
 
-    The edges inside the maps are the known inliers. First all closures count in full; from the
-    largest χ² of that solution follows μ, which then grows until every weight is 0 or 1.
+    The edges inside the maps are the known inliers. First all closures count in full; the largest
+    χ² at the start and at that solution sets μ, which then grows until every weight is 0 or 1. At
+    that solution alone it would be too small: maps that all closures bend spring back as soon as
+    these count less, and leave every one of them beyond the reach of μ.
 
     Args:
         gate: γ².
@@ -124,16 +126,22 @@ def gnc(gate: float, dof: int) -> Reweighting:
     """
     del dof
 
-    def update(squared: Weights, control: float | None) -> tuple[Weights, float]:
-        if control is None:
-            return np.ones_like(squared), 0.0
-        excess = 2.0 * float(squared.max()) - gate
-        if control == 0.0 and excess <= 0.0:  # all fit as they are
-            return np.ones_like(squared), 0.0
-        control = GROWTH * control if control else gate / excess
-        return truncated_weight(squared, gate, control), control
+    def update(squared: Weights, state: _Schedule | None) -> tuple[Weights, _Schedule]:
+        everything = np.ones_like(squared)
+        if state is None:
+            return everything, _Schedule(float(squared.max()))
+        if state.control is None and 2.0 * squared.max() <= gate:  # all fit as they are
+            return everything, state
+        largest = max(state.largest, float(squared.max()))
+        control = GROWTH * state.control if state.control else gate / (2.0 * largest - gate)
+        return truncated_weight(squared, gate, control), _Schedule(state.largest, control)
 
     return Reweighting(update, GRADUALLY, binary=True)
+
+
+class _Schedule(NamedTuple):
+    largest: float  # χ² at the start
+    control: float | None = None  # μ
 
 
 ROBUST_METHODS: dict[str, Callable[..., Reweighting]] = {
