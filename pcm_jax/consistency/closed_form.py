@@ -207,7 +207,10 @@ def _weighted_square_jvp(module: ModuleType, primals: Any, velocities: Any) -> t
     """
     t, error, fixed, side_b, both_sides = primals
     velocity, error_dot, fixed_dot, side_b_dot, both_sides_dot = velocities
+    square = _weighted_square(module, *primals)
     w = unrolled.solve_symmetric(_total(module, t, fixed, side_b, both_sides), error)
+    # Where M is not positive definite the value is NaN, and nothing flows.
+    w = tuple(jnp.where(jnp.isfinite(square), x, 0.0) for x in w)
     adjoint = module.adjoint(t)
     back = unrolled.apply(unrolled.transpose(adjoint), w)
     moved = unrolled.apply(unrolled.unpack(side_b), back)
@@ -221,7 +224,7 @@ def _weighted_square_jvp(module: ModuleType, primals: Any, velocities: Any) -> t
     carried = unrolled.apply(adjoint, moved)
     turned = module.bracket(module.left_tangent(t, velocity), carried)
     slope = 2.0 * (unrolled.dot(w, error_dot) - unrolled.dot(w, turned)) - by_covariance
-    return _weighted_square(module, *primals), slope
+    return square, slope
 
 
 def _total(module: ModuleType, t: Any, fixed: Any, side_b: Any, both_sides: Any) -> unrolled.Matrix:

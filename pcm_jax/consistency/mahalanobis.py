@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from pcm_jax import lie
 from pcm_jax.consistency.closed_form import closed_form_kernel, own_loop_kernel
@@ -23,15 +24,42 @@ Problem = ConsistencyProblem | WithinProblem
 
 
 def _masked(kernel: Callable[[Any], Any]) -> Callable[[Problem], Any]:
-    """`kernel`, compiled, with infinite distances between padding and anything else."""
+    """`kernel`, compiled: infinite between padding and all else, NaN where input is not finite.
+
+    What is not finite is replaced before, not only masked after: in the derivatives of the other
+    closures it would meet a zero, and NaN times zero is NaN.
+    """
 
     @jax.jit
     def masked(problem: Problem) -> Any:
-        both = problem.valid[:, None] & problem.valid[None, :]
-        both |= jnp.eye(len(problem.valid), dtype=bool)
-        return jnp.where(both, kernel(problem), jnp.inf)
+        own = {name: getattr(problem, name) for name in _OF_CLOSURES}
+        known = jnp.all(jnp.stack([_finite_rows(leaf) for leaf in jax.tree.leaves(own)]), axis=0)
+        d = problem.measurement_covariance.shape[-1]
+        harmless = {name: lie.identity(lie.group_of(own[name])) for name in _OF_CLOSURES[1:]}
+        harmless["measurement_covariance"] = np.eye(d)
+        squared = kernel(dataclasses.replace(problem, **_where(known, own, harmless)))
+        squared = jnp.where(known[:, None] & known, squared, jnp.nan)
+        both = problem.valid[:, None] & problem.valid
+        diagonal = jnp.eye(len(problem.valid), dtype=bool)
+        return jnp.where(diagonal, 0.0, jnp.where(both, squared, jnp.inf))
 
     return masked
+
+
+_OF_CLOSURES = ("measurement_covariance", "measurement", "pose_a", "pose_b")
+
+
+def _finite_rows(leaf: Float[Array, "m ..."]) -> Bool[Array, " m"]:
+    return jnp.all(jnp.isfinite(leaf), axis=tuple(range(1, leaf.ndim)))
+
+
+def _where(known: Bool[Array, " m"], tree: Any, otherwise: Any) -> Any:
+    """The rows of `tree` that are known, and one row for all others."""
+
+    def choose(leaf: Array, row: Array) -> Array:
+        return jnp.where(known.reshape(-1, *(1,) * (leaf.ndim - 1)), leaf, row.astype(leaf.dtype))
+
+    return jax.tree.map(choose, tree, otherwise)
 
 
 _KERNELS = {"closed-form": _masked(closed_form_kernel), "jacfwd": _masked(jacfwd_kernel)}
@@ -46,8 +74,12 @@ def squared_mahalanobis(
     `[u, v]` is q²_uv, not symmetrised; the diagonal is zero. For closures that are both right it
     follows a chi-squared distribution with d degrees of freedom: see `chi2_gate`.
 
-    Safe under jit, vmap and grad. The result follows the dtype of the problem, which
+    Safe under jit, vmap, grad and jvp. The result follows the dtype of the problem, which
     `consistency_problem` and `within_problem` build in float64.
+
+    Nothing is raised for numbers that were changed after that. A closure with a number that is not
+    finite has NaN in its row and column, a pair whose covariance is not positive definite has NaN
+    itself: they pass no gate (`consistency_graph`), change nothing else and have no derivative.
 
     Args:
         problem: of closures between two robots, see `consistency_problem`, or within one robot's

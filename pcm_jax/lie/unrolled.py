@@ -8,6 +8,7 @@ products skip it. Nothing here loops over the batch; the loops over entries unro
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -136,14 +137,16 @@ def solve_lower(lower: Matrix, vector: Vector) -> Vector:
 
 
 def inverse_quadratic_form(symmetric: Matrix, vector: Vector) -> Any:
-    """vᵀ S⁻¹ v for a positive definite S, by S = L D Lᵀ (no square roots)."""
+    """vᵀ S⁻¹ v for a positive definite S, by S = L D Lᵀ (no square roots); NaN for any other."""
     lower, pivots = _ldl(symmetric)
     reduced = solve_unit_lower(lower, vector)
-    return dot(reduced, [product(x, pivot) for x, pivot in zip(reduced, pivots, strict=True)])
+    form = dot(reduced, [product(x, pivot) for x, pivot in zip(reduced, pivots, strict=True)])
+    xp = namespace(form)
+    return xp.where(functools.reduce(xp.minimum, pivots) > 0.0, form, xp.nan)
 
 
 def solve_symmetric(symmetric: Matrix, vector: Vector) -> Vector:
-    """S⁻¹ v for a positive definite S."""
+    """S⁻¹ v for a positive definite S; NaN for any other."""
     lower = cholesky(symmetric)
     reduced = solve_lower(lower, vector)
     upper = tuple(row[::-1] for row in transpose(lower)[::-1])
