@@ -1,9 +1,9 @@
 """Maximum cliques of many small graphs at once: one compiled program without callbacks.
 
-The search of `exact` on machine words, cut into small equal steps: a step gives one vertex a
-colour or enters one branch. A row of lanes takes such steps side by side, each lane on a graph of
-its own, and a lane that is done takes the next graph: none waits for the slowest (as under a plain
-`vmap` of a search, where all graphs take as many steps as the hardest).
+The search of `exact` on machine words, cut into small equal steps: a step gives a few vertices a
+colour and enters at most one branch. A row of lanes takes such steps side by side, each lane on a
+graph of its own, and a lane that is done takes the next graph: none waits for the slowest (as under
+a plain `vmap` of a search, where all graphs take as many steps as the hardest).
 
 Of equals, the lexicographically smallest (its vertices in ascending order), as `maximum_clique`
 returns it: the colours spent on a branch exclude cliques as large as the one in hand only if what
@@ -13,6 +13,7 @@ the branch can reach does not precede that one.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -25,8 +26,10 @@ from pcm_jax.errors import InputError
 
 # Fewer spread the cost of calling a kernel over too few, more leave the second-level cache.
 _LANES = 256
+# Vertices coloured per branch entered: a compromise between those that take many and none.
+_COLOURED = 4
 # Between two looks for lanes that are done.
-_STEPS = 16
+_STEPS = 8
 
 
 class BatchedCliques(NamedTuple):
@@ -58,8 +61,8 @@ def maximum_clique_batched(
     Args:
         graphs: symmetric (not checked), diagonals ignored.
         valid: the nodes that count; the others are in no clique. All, by default.
-        max_steps: where the search gives up, in steps (a vertex coloured or a branch entered,
-            rounded up to a multiple of 16); unlimited by default.
+        max_steps: where the search gives up, in steps (up to four vertices coloured and a branch
+            entered; rounded up to a multiple of 8); by default 2³¹ - 1.
 
     Returns:
         The lexicographically smallest of each graph's maximum cliques, which is the answer of
@@ -207,7 +210,8 @@ def _exchange(
     graph = jnp.where(done, taken - 1 + jnp.cumsum(done, dtype=jnp.int32), lanes.graph)
     graph = jnp.minimum(graph, number)
     lanes = _start(lanes._replace(graph=graph), queue, done & (graph < number))
-    return lanes, taken + jnp.sum(done, dtype=jnp.int32), best, optimal
+    taken = jnp.minimum(taken + jnp.sum(done, dtype=jnp.int32), number)
+    return lanes, taken, best, optimal
 
 
 def _start(lanes: _Lanes, queue: _Queue, fresh: Array) -> _Lanes:
@@ -216,10 +220,7 @@ def _start(lanes: _Lanes, queue: _Queue, fresh: Array) -> _Lanes:
     candidates, best = queue.candidates[:, index], queue.best[:, index]
     size = count(best)
     none = jnp.zeros_like(candidates)
-
-    def choose(new: Any, old: Any) -> Any:
-        return jax.tree.map(lambda new, old: jnp.where(fresh, new, old), new, old)
-
+    choose = partial(_choose, fresh)
     return lanes._replace(
         steps=choose(queue.steps[index], lanes.steps),
         near=jnp.where(fresh[:, None], queue.near[:, index], lanes.near),
@@ -233,43 +234,55 @@ def _start(lanes: _Lanes, queue: _Queue, fresh: Array) -> _Lanes:
 
 
 def _step(lanes: _Lanes) -> _Lanes:
-    """One vertex is coloured or, where no colour is left, one branch entered."""
-    new_class = ~some(lanes.class_)
-    # As many colours as vertices without one are enough.
-    exhausted = new_class & (count(lanes.node.branches) <= lanes.colours)
-    colouring = ~new_class | (~exhausted & (lanes.colours > 0))
-    height = lanes.height - exhausted
-    lane = np.arange(len(height), dtype=np.int32)
-    top = jnp.maximum(height, 0) * len(height) + lane
+    """Some vertices are coloured and, where no colour is left to give, one branch is entered."""
+    # A loop, since compiled in a row they would be fused with much computed again.
+    return _branch(jax.lax.fori_loop(0, _COLOURED, lambda _, lanes: _colour(lanes), lanes))
+
+
+def _colouring(lanes: _Lanes) -> Array:
+    """Where vertices are given colours: as many colours as vertices would be enough at once."""
+    open_ = (lanes.colours > 0) & (count(lanes.node.branches) > lanes.colours)
+    return some(lanes.class_) | open_
+
+
+def _colour(lanes: _Lanes) -> _Lanes:
+    """The next vertex gets a colour: largest first, so that the smallest are left to branch on."""
+    colouring, new_class = _colouring(lanes), ~some(lanes.class_)
+    class_ = jnp.where(new_class, lanes.node.branches, lanes.class_)
+    near, itself = _look(lanes, last(class_))
+    itself = jnp.where(colouring, itself, 0)
+    return lanes._replace(
+        node=lanes.node._replace(branches=lanes.node.branches & ~itself),
+        colours=lanes.colours - (colouring & new_class),
+        class_=jnp.where(colouring, class_ & ~near & ~itself, 0),
+    )
+
+
+def _branch(lanes: _Lanes) -> _Lanes:
+    """The smallest vertex without a colour joins the path; where there is none, a step back."""
+    active = ~_colouring(lanes)
+    back = active & (count(lanes.node.branches) <= lanes.colours)
+    height = lanes.height - back
+    top = jnp.maximum(height, 0) * len(height) + np.arange(len(height), dtype=np.int32)
     node = jax.tree.map(
-        lambda stack, node: jnp.where(exhausted, stack.at[:, top].get(mode="clip"), node),
+        lambda stack, node: jnp.where(back, stack.at[:, top].get(mode="clip"), node),
         lanes.stack,
         lanes.node,
     )
-    class_ = jnp.where(new_class, node.branches, lanes.class_)
-    # Colours go to the largest vertices first, so that the smallest are left to branch on.
-    vertex = jnp.where(colouring, last(class_), first(node.branches))
-    vertex = jnp.clip(vertex, 0, lanes.near.shape[-1] - 1)
-    near, itself = lanes.near[:, lane, vertex], single(vertex, class_)
-
-    node = node._replace(
-        candidates=jnp.where(colouring, node.candidates, node.candidates & ~itself),
-        branches=node.branches & ~itself,
-    )
+    active &= height >= 0
+    near, itself = _look(lanes, first(node.branches))
+    itself = jnp.where(active, itself, 0)
+    node = node._replace(candidates=node.candidates & ~itself, branches=node.branches & ~itself)
     inside, path = node.candidates & near, node.path | itself
     depth = count(path)
-    active = ~colouring & (height >= 0)
-    larger = depth > lanes.size
-    better = active & (larger | ((depth == lanes.size) & precedes(path, lanes.best)))
+    equal = (depth == lanes.size) & precedes(path, lanes.best)
+    better = active & ((depth > lanes.size) | equal)
     best, size = jnp.where(better, path, lanes.best), jnp.where(better, depth, lanes.size)
     colours = jnp.maximum(size - depth - precedes(path | inside, best), 0)
     entered = active & (count(inside) > colours)
     return lanes._replace(
-        node=jax.tree.map(
-            lambda new, old: jnp.where(entered, new, old), _Node(path, inside, inside), node
-        ),
-        colours=jnp.where(colouring, lanes.colours - new_class, jnp.where(entered, colours, 0)),
-        class_=jnp.where(colouring, class_ & ~near & ~itself, 0),
+        node=_choose(entered, _Node(path, inside, inside), node),
+        colours=jnp.where(entered, colours, jnp.where(active, 0, lanes.colours)),
         # Written always: what is not entered lies above the stack's height.
         stack=jax.tree.map(
             lambda stack, node: stack.at[:, top].set(node, mode="drop", unique_indices=True),
@@ -280,3 +293,13 @@ def _step(lanes: _Lanes) -> _Lanes:
         best=best,
         size=size,
     )
+
+
+def _look(lanes: _Lanes, vertex: Array) -> tuple[Array, Array]:
+    """The neighbours of a vertex in every lane, and the set of itself."""
+    vertex = jnp.clip(vertex, 0, lanes.near.shape[-1] - 1)
+    return lanes.near[:, np.arange(len(vertex)), vertex], single(vertex, lanes.class_)
+
+
+def _choose(condition: Array, new: Any, old: Any) -> Any:
+    return jax.tree.map(lambda new, old: jnp.where(condition, new, old), new, old)
