@@ -126,4 +126,8 @@ def test_links():
         if target.startswith("#"):
             assert f"\n## {target[1:].capitalize()}\n" in TEXT
         elif "://" not in target:
-            assert (ROOT / target).exists()
+            path, _, section = target.partition("#")
+            assert (ROOT / path).exists()
+            headings = re.findall(r"^## (.+)$", (ROOT / path).read_text(), re.M) if section else []
+            anchors = [re.sub(r"[^\w -]", "", name.lower()).replace(" ", "-") for name in headings]
+            assert not section or section in anchors
