@@ -151,6 +151,18 @@ def _one_map(pose_graph: PoseGraph, touching: np.ndarray, joint: Any, name: str)
     return _OneMap(lie.take(moved, rows), position[rows], covariance)
 
 
+def bytes_needed(closures: LoopClosures) -> float:
+    """About what the closures between two robots take on the way to Q, in bytes.
+
+    Of k poses that closures touch in a map: their joint covariance, (k d)² numbers, and G; of m
+    closures: Q and its tiles.
+    """
+    d = lie.tangent_dim(closures.measurement)
+    of_a_pair_of_poses = d * d + d * (d + 1) // 2
+    touched = [len(np.unique(np.asarray(poses))) for poses in (closures.pose_a, closures.pose_b)]
+    return 8.0 * (of_a_pair_of_poses * sum(k**2 for k in touched) + 2 * len(closures) ** 2)
+
+
 def padded_size(rows: int, *, closures: int) -> int:
     """Padded length of closures or of touched poses: one size for both while that is cheap."""
     rows = max(rows, min(closures, FINE_ABOVE))

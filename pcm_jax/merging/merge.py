@@ -61,10 +61,10 @@ def merge(
             first, and the second for robust methods.
         engine: "blocks" or "cholmod", for the merged map.
         progress: called with a line of text when a stage begins.
-        **options: the method's own. Robust methods have `initial`, where the maps start:
-            "identity" (first poses coincide) or "closures"; `anchors`, Lie `[robots]`, to start
-            there instead; `phi` (dcs), `prior` (switchable), `null_scale`, `null_weight`
-            (max-mixture).
+        **options: the method's own; of a selection method also `memory_limit`, see `select`. Robust
+            methods have `initial`, where the maps start: "identity" (first poses coincide) or
+            "closures"; `anchors`, Lie `[robots]`, to start there instead; `phi` (dcs), `prior`
+            (switchable), `null_scale`, `null_weight` (max-mixture).
 
     Returns:
         Merged maps, anchors, groups, what was accepted and why.
@@ -146,6 +146,7 @@ def _select(
         optimized=optimized,
         minimum_inliers=minimum_inliers,
         time_limit=time_limit,
+        progress=tell,
         **options,
     )
 

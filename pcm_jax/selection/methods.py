@@ -13,7 +13,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.selection.choice import Choice
 from pcm_jax.selection.clipper import clipper
 from pcm_jax.selection.combinatorial import combinatorial
-from pcm_jax.selection.pcm import pcm_exact, pcm_heuristic
+from pcm_jax.selection.pcm import pcm_exact, pcm_exact_in, pcm_heuristic, pcm_heuristic_in
 from pcm_jax.selection.ransac import ransac
 from pcm_jax.selection.scgp import scgp
 
@@ -27,6 +27,11 @@ METHODS: dict[str, Callable[..., Choice]] = {
 """The paper's; `selection.batched` has each for many small problems at once."""
 BEYOND_THE_PAPER: dict[str, Callable[..., Choice]] = {"clipper": clipper}
 ALL_METHODS = METHODS | BEYOND_THE_PAPER
+OF_A_GRAPH: dict[str, Callable[..., Choice]] = {
+    "pcm-exact": pcm_exact_in,
+    "pcm-heuristic": pcm_heuristic_in,
+}
+"""Those that can do with the consistency graph alone."""
 
 
 def select_from(

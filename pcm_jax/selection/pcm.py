@@ -1,15 +1,15 @@
 """Pairwise consistent measurement set maximization: the largest set in which all agree.
 
 J. G. Mangelson, D. Dominic, R. M. Eustice and R. Vasudevan, ICRA 2018, sections IV and V: a
-maximum clique of the consistency graph. Needs m² squared distances and a gate.
+maximum clique of the consistency graph. Needs m² squared distances and a gate, or that graph alone.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from pcm_jax.clique import maximum_clique
+from pcm_jax.clique import Clique, maximum_clique
 from pcm_jax.errors import InputError
 from pcm_jax.selection.choice import Choice
 from pcm_jax.selection.distances import consistent_pairs
@@ -37,14 +37,25 @@ def pcm_exact(
         raise InputError(f"tie_break: {tie_break!r}, expected one of {', '.join(TIE_BREAKS)}")
     graph = consistent_pairs(squared, gate)
     distances = np.where(graph, squared, 0.0) if tie_break == "distance" else None
-    clique = maximum_clique(graph, time_limit=time_limit, tie_break=distances)
-    return Choice(clique.members, clique.optimal, clique.upper_bound)
+    return _choice(maximum_clique(graph, time_limit=time_limit, tie_break=distances))
 
 
 def pcm_heuristic(
     squared: Float[np.ndarray, "m m"], gate: float, *, time_limit: float | None = None
 ) -> Choice:
     """A large pairwise consistent set, greedily (HeuPatt, the paper's choice for large m)."""
-    graph = consistent_pairs(squared, gate)
-    clique = maximum_clique(graph, method="heuristic", time_limit=time_limit)
+    return pcm_heuristic_in(consistent_pairs(squared, gate), time_limit=time_limit)
+
+
+def pcm_exact_in(graph: Bool[np.ndarray, "m m"], *, time_limit: float | None = None) -> Choice:
+    """`pcm_exact` of a consistency graph, ties by index."""
+    return _choice(maximum_clique(graph, time_limit=time_limit))
+
+
+def pcm_heuristic_in(graph: Bool[np.ndarray, "m m"], *, time_limit: float | None = None) -> Choice:
+    """`pcm_heuristic` of a consistency graph."""
+    return _choice(maximum_clique(graph, method="heuristic", time_limit=time_limit))
+
+
+def _choice(clique: Clique) -> Choice:
     return Choice(clique.members, clique.optimal, clique.upper_bound)

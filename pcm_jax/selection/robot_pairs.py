@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,11 +12,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pcm_jax.consistency import chi2_gate, consistency_problem, squared_mahalanobis
+from pcm_jax.consistency import (
+    PackedGraph,
+    chi2_gate,
+    consistency_problem,
+    squared_mahalanobis,
+    stream_consistency_graph,
+)
+from pcm_jax.consistency.problem import bytes_needed
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.precision import in_float64
-from pcm_jax.selection.methods import check_method, choose
+from pcm_jax.selection.choice import Choice
+from pcm_jax.selection.distances import consistent_pairs
+from pcm_jax.selection.methods import OF_A_GRAPH, check_method, choose
 
 STAGES = ("optimize", "marginals", "consistency", "clique")
 
@@ -29,7 +38,8 @@ class PairSelection:
         robot_a: index of the robot with the smaller index.
         robot_b: index of the other.
         closures: int64 [k], their indices among the graph's closures, ascending.
-        squared: float64 [k, k], squared Mahalanobis distances (paper, eq. 4), not symmetrised.
+        evidence: what the method went by: float64 [k, k], squared Mahalanobis distances (paper, eq.
+            4), not symmetrised; or, where these take more than the memory limit, their graph alone.
         gate: γ².
         accepted: bool [k].
         optimal: whether no larger pairwise consistent set exists; None if the method does not say.
@@ -39,11 +49,31 @@ class PairSelection:
     robot_a: int
     robot_b: int
     closures: Int[np.ndarray, " k"]
-    squared: Float[np.ndarray, "k k"]
+    evidence: Float[np.ndarray, "k k"] | PackedGraph
     gate: float
     accepted: Bool[np.ndarray, " k"]
     optimal: bool | None
     upper_bound: int | None
+
+    @property
+    def squared(self) -> Float[np.ndarray, "k k"]:
+        """The squared distances.
+
+        Raises:
+            InputError: if they were not kept.
+        """
+        if isinstance(self.evidence, PackedGraph):
+            raise InputError(
+                f"squared: not kept for the {len(self.closures)} closures between robots "
+                f"{self.robot_a} and {self.robot_b}, expected a larger memory_limit for them"
+            )
+        return self.evidence
+
+    def consistent(self) -> Bool[np.ndarray, "k k"]:
+        """The consistency graph, k² bytes."""
+        if isinstance(self.evidence, PackedGraph):
+            return self.evidence.dense()
+        return consistent_pairs(self.evidence, self.gate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +108,8 @@ def select(
     optimized: bool = False,
     minimum_inliers: int = 2,
     time_limit: float | None = None,
+    memory_limit: float = 2e9,
+    progress: Callable[[str], None] | None = None,
     **options: Any,
 ) -> Selection:
     """Selects the closures to believe, for every pair of robots by itself.
@@ -93,6 +125,11 @@ def select(
         minimum_inliers: a pair of robots that accepts fewer closures accepts none: a single one
             is consistent with itself whatever it says.
         time_limit: seconds for each pair's clique; needs a method that has the option.
+        memory_limit: bytes for the distances between two robots' closures. Where it takes more (at
+            2 GB from about 1,500 closures in space or 2,900 in the plane on, all at poses of their
+            own), PCM's methods get the same graph by `stream_consistency_graph`, panel by panel.
+            The others need the distances (so does `tie_break="distance"`), whatever they take.
+        progress: called with a line of text, every tenth of such a stream.
         **options: the method's own, see `select_from`.
 
     Returns:
@@ -100,29 +137,29 @@ def select(
 
     Raises:
         InputError: for an unknown method or option, a confidence outside (0, 1), a negative
-            minimum, and what optimising the maps raises.
+            minimum or limit, and what optimising the maps raises.
     """
     if time_limit is not None:
         options["time_limit"] = time_limit
     check_method(method, options)
     if minimum_inliers < 0:
         raise InputError(f"minimum_inliers: {minimum_inliers}, expected at least 0")
+    if not memory_limit >= 0:
+        raise InputError(f"memory_limit: {memory_limit}, expected bytes, at least 0")
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     watch = _StopWatch()
     with watch("optimize"):
         maps = optimized_maps(graph.maps, optimized)
-    distances = _SquaredDistances(maps, watch)
+    judge = _Judge(maps, gate, method, options, memory_limit, watch, progress)
     inliers = np.zeros(len(np.asarray(graph.closures.robot_a)), bool)
     pairs = []
     for a, b in graph.closures.pairs():
         closures, indices = graph.closures.between(a, b)
-        squared = distances.between(a, b, closures)
-        with watch("clique"):
-            choice = choose(squared, gate, method=method, **options)
+        choice, evidence = judge(a, b, closures)
         enough = np.count_nonzero(choice.members) >= minimum_inliers
         inliers[indices] = accepted = choice.members & enough
         certificate = choice.optimal, choice.upper_bound
-        pairs.append(PairSelection(a, b, indices, squared, gate, accepted, *certificate))
+        pairs.append(PairSelection(a, b, indices, evidence, gate, accepted, *certificate))
     return Selection(inliers, tuple(pairs), method, confidence, gate, maps, watch.seconds)
 
 
@@ -145,19 +182,58 @@ def _optimised(pose_graph: PoseGraph) -> PoseGraph:
     return solution.graph
 
 
-class _SquaredDistances:
-    """Q of one robot pair after another, in the same maps.
+class _Judge:
+    """What a method keeps between one robot pair after another, all in the same maps.
 
     Joint covariances are those of each pair's own touched poses: their cost grows with the cube
     of the number of poses, so a map in many pairs is better asked several times for few. Pairs
     that touch the same poses of a map share one.
     """
 
-    def __init__(self, maps: tuple[PoseGraph, ...], watch: _StopWatch):
-        self.maps, self.watch = maps, watch
+    def __init__(
+        self,
+        maps: tuple[PoseGraph, ...],
+        gate: float,
+        method: str,
+        options: dict[str, Any],
+        memory_limit: float,
+        watch: _StopWatch,
+        progress: Callable[[str], None] | None,
+    ):
+        self.maps, self.gate, self.method, self.options = maps, gate, method, options
+        self.watch, self.tell = watch, progress or (lambda text: None)
+        by_distance = options.get("tie_break", "index") != "index"
+        needs_distances = method not in OF_A_GRAPH or by_distance
+        self.memory_limit = np.inf if needs_distances else memory_limit
         self.known: dict[tuple[int, bytes], np.ndarray] = {}
 
-    def between(self, a: int, b: int, closures: LoopClosures) -> Float[np.ndarray, "k k"]:
+    def __call__(
+        self, a: int, b: int, closures: LoopClosures
+    ) -> tuple[Choice, Float[np.ndarray, "k k"] | PackedGraph]:
+        """The choice and its evidence."""
+        if bytes_needed(closures) > self.memory_limit:
+            with self.watch("consistency"):
+                graph = self._streamed(a, b, closures)
+            with self.watch("clique"):
+                limit = self.options.get("time_limit")
+                return OF_A_GRAPH[self.method](graph.dense(), time_limit=limit), graph
+        squared = self._squared(a, b, closures)
+        with self.watch("clique"):
+            return choose(squared, self.gate, method=self.method, **self.options), squared
+
+    def _streamed(self, a: int, b: int, closures: LoopClosures) -> PackedGraph:
+        told = -1
+
+        def progress(done: int, pairs: int) -> None:
+            nonlocal told
+            if (tenth := 10 * done // max(pairs, 1)) > told:
+                told = tenth
+                self.tell(f"weighing the pairs of {len(closures)} closures: {10 * tenth} %")
+
+        maps = self.maps[a], self.maps[b]
+        return stream_consistency_graph(*maps, closures, self.gate, progress=progress)
+
+    def _squared(self, a: int, b: int, closures: LoopClosures) -> Float[np.ndarray, "k k"]:
         with self.watch("marginals"):
             marginals = self._joint(a, closures.pose_a), self._joint(b, closures.pose_b)
         with self.watch("consistency"):

@@ -83,6 +83,33 @@ def test_options_reach_the_method(world, selection):
         np.testing.assert_array_equal(pair.accepted, expected)
 
 
+@pytest.mark.parametrize("method", ["pcm-exact", "pcm-heuristic"])
+def test_beyond_the_memory_limit_the_graph_is_streamed(world, selection, method):
+    optimised = MultiRobotGraph(selection.maps, world.graph.closures)
+    told = []
+    options = {"method": method, "optimized": True, "time_limit": 60.0}
+    streamed = select(optimised, memory_limit=0, progress=told.append, **options)
+    dense = select(optimised, progress=told.append, **options)
+    np.testing.assert_array_equal(streamed.inliers, dense.inliers)
+    for one, other in zip(streamed.pairs, dense.pairs, strict=True):
+        with pytest.raises(InputError, match=r"squared: not kept .* between robots"):
+            _ = one.squared
+        np.testing.assert_array_equal(one.consistent(), other.consistent())
+        assert (one.optimal, one.upper_bound) == (other.optimal, other.upper_bound)
+    counts = [len(pair.closures) for pair in streamed.pairs]
+    assert told == [f"weighing the pairs of {m} closures: 100 %" for m in counts]
+
+
+@pytest.mark.parametrize("options", [{"tie_break": "distance"}, {"method": "ransac"}])
+def test_what_needs_distances_gets_them_whatever_they_take(world, selection, options):
+    optimised = MultiRobotGraph(selection.maps, world.graph.closures)
+    limited = select(optimised, optimized=True, memory_limit=0, **options)
+    usual = select(optimised, optimized=True, **options)
+    np.testing.assert_array_equal(limited.inliers, usual.inliers)
+    for one, other in zip(limited.pairs, usual.pairs, strict=True):
+        np.testing.assert_array_equal(one.squared, other.squared)
+
+
 def test_too_few_inliers_are_none(world, selection):
     optimised = MultiRobotGraph(selection.maps, world.graph.closures)
     sizes = [pair.accepted.sum() for pair in selection.pairs]
@@ -105,6 +132,7 @@ def test_bad_arguments_are_named_before_any_work(world):
         ({"method": "guess"}, "method: 'guess'"),
         ({"confidence": 1.5}, "confidence: 1.5"),
         ({"minimum_inliers": -1}, "minimum_inliers: -1"),
+        ({"memory_limit": -1.0}, "memory_limit: -1"),
         ({"method": "ransac", "time_limit": 1.0}, "time_limit: not an option"),
     ):
         with pytest.raises(InputError, match=message):
