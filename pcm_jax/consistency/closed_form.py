@@ -39,7 +39,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency.problem import ConsistencyProblem
@@ -54,8 +54,7 @@ def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Arr
     """q² of all ordered pairs; padding is computed like anything else."""
     placed, noise = per_closure(problem)
     count = problem.valid.shape[0]
-    blocks = -(-count // TILE)
-    size = -(-count // blocks)
+    blocks, size = _blocks(count)
 
     def tile(corner: tuple[Any, Any]) -> tuple[Any, Any]:
         # Indices past the end repeat the last closure, and are cut below.
@@ -69,6 +68,33 @@ def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Arr
     grid = grid.at[columns, rows].set(jnp.swapaxes(backward, 1, 2)).at[rows, columns].set(forward)
     squared = jnp.swapaxes(grid, 1, 2).reshape(blocks * size, blocks * size)[:count, :count]
     return jnp.where(jnp.eye(count, dtype=bool), 0.0, squared)
+
+
+def closed_form_rows(
+    problem: ConsistencyProblem | WithinProblem, rows: Int[Array, " r"]
+) -> Float[Array, "r m"]:
+    """q²_uv of the closures u in `rows` with all v: the share of one of several devices.
+
+    Both triangles are computed, since what one device finds is not sent to another.
+    """
+    placed, noise = per_closure(problem)
+    count = problem.valid.shape[0]
+    (down, height), (across, width) = (_blocks(size) for size in (len(rows), count))
+
+    def tile(corner: tuple[Any, Any]) -> Any:
+        u = jnp.minimum(corner[0] * height + jnp.arange(height), len(rows) - 1)
+        v = jnp.minimum(corner[1] * width + jnp.arange(width), count - 1)
+        return _tile(problem, placed, noise, rows[u], v)[0]
+
+    corners = (np.repeat(np.arange(down), across), np.tile(np.arange(across), down))
+    grid = jax.lax.map(jax.checkpoint(tile), corners).reshape(down, across, height, width)
+    return jnp.swapaxes(grid, 1, 2).reshape(down * height, across * width)[: len(rows), :count]
+
+
+def _blocks(count: int) -> tuple[int, int]:
+    """How many tiles in a row, and their width: at most `TILE`, and as even as can be."""
+    blocks = -(-count // TILE)
+    return blocks, -(-count // blocks)
 
 
 def own_loop_kernel(problem: WithinProblem) -> Float[Array, " m"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,10 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from pcm_jax import lie
-from pcm_jax.consistency.closed_form import closed_form_kernel, own_loop_kernel
+from pcm_jax.consistency.closed_form import closed_form_kernel, closed_form_rows, own_loop_kernel
 from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
@@ -24,26 +26,64 @@ Problem = ConsistencyProblem | WithinProblem
 
 
 def _masked(kernel: Callable[[Any], Any]) -> Callable[[Problem], Any]:
-    """`kernel`, compiled: infinite between padding and all else, NaN where input is not finite.
-
-    What is not finite is replaced before, not only masked after: in the derivatives of the other
-    closures it would meet a zero, and NaN times zero is NaN.
-    """
+    """`kernel`, compiled, and its result marked."""
 
     @jax.jit
     def masked(problem: Problem) -> Any:
-        own = {name: getattr(problem, name) for name in _OF_CLOSURES}
-        known = jnp.all(jnp.stack([_finite_rows(leaf) for leaf in jax.tree.leaves(own)]), axis=0)
-        d = problem.measurement_covariance.shape[-1]
-        harmless = {name: lie.identity(lie.group_of(own[name])) for name in _OF_CLOSURES[1:]}
-        harmless["measurement_covariance"] = np.eye(d)
-        squared = kernel(dataclasses.replace(problem, **_where(known, own, harmless)))
-        squared = jnp.where(known[:, None] & known, squared, jnp.nan)
-        both = problem.valid[:, None] & problem.valid
-        diagonal = jnp.eye(len(problem.valid), dtype=bool)
-        return jnp.where(diagonal, 0.0, jnp.where(both, squared, jnp.inf))
+        harmless, known = _harmless(problem)
+        return _marked(kernel(harmless), known, problem.valid, jnp.arange(len(known)))
 
     return masked
+
+
+@functools.partial(jax.jit, static_argnames="mesh")
+def _by_rows(problem: Problem, mesh: Mesh) -> Float[Array, "n n"]:
+    """As the closed form's, each device of a mesh computing rows of its own."""
+    harmless, known = _harmless(_padded(problem, -len(problem.valid) % mesh.size))
+    share = len(known) // mesh.size
+
+    def rows_of_one(problem: Problem, known: Any) -> Any:
+        rows = jax.lax.axis_index(mesh.axis_names) * share + jnp.arange(share)
+        return _marked(closed_form_rows(problem, rows), known, problem.valid, rows)
+
+    in_order = PartitionSpec(mesh.axis_names)
+    shared = jax.shard_map(rows_of_one, mesh=mesh, in_specs=PartitionSpec(), out_specs=in_order)
+    return shared(harmless, known)
+
+
+def _harmless(problem: Problem) -> tuple[Problem, Bool[Array, " m"]]:
+    """The problem with closures that are not finite replaced, and which are finite.
+
+    Replaced before, not only marked after: in the derivatives of the other closures what is not
+    finite would meet a zero, and NaN times zero is NaN.
+    """
+    own = {name: getattr(problem, name) for name in _OF_CLOSURES}
+    known = jnp.all(jnp.stack([_finite_rows(leaf) for leaf in jax.tree.leaves(own)]), axis=0)
+    d = problem.measurement_covariance.shape[-1]
+    harmless = {name: lie.identity(lie.group_of(own[name])) for name in _OF_CLOSURES[1:]}
+    harmless["measurement_covariance"] = np.eye(d)
+    return dataclasses.replace(problem, **_where(known, own, harmless)), known
+
+
+def _marked(squared: Any, known: Any, valid: Any, rows: Any) -> Float[Array, "r m"]:
+    """Rows of q²: infinite between padding and all else, NaN where input is not finite."""
+    squared = jnp.where(known[rows, None] & known, squared, jnp.nan)
+    squared = jnp.where(valid[rows, None] & valid, squared, jnp.inf)
+    return jnp.where(rows[:, None] == jnp.arange(len(valid)), 0.0, squared)
+
+
+def _padded(problem: Problem, more: int) -> Problem:
+    """The problem with `more` closures of padding."""
+    if more == 0:
+        return problem
+
+    def longer(leaf: Array) -> Array:
+        return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], more, axis=0)])
+
+    names = (*_OF_CLOSURES, "row_a", "row_b")
+    changes = {name: jax.tree.map(longer, getattr(problem, name)) for name in names}
+    valid = jnp.concatenate([problem.valid, jnp.zeros(more, bool)])
+    return dataclasses.replace(problem, valid=valid, **changes)
 
 
 _OF_CLOSURES = ("measurement_covariance", "measurement", "pose_a", "pose_b")
@@ -67,7 +107,10 @@ _own_loop = jax.jit(own_loop_kernel)
 
 
 def squared_mahalanobis(
-    problem: ConsistencyProblem | WithinProblem, *, kernel: str = "closed-form"
+    problem: ConsistencyProblem | WithinProblem,
+    *,
+    kernel: str = "closed-form",
+    mesh: Mesh | None = None,
 ) -> Float[Array, "m m"]:
     """Squared Mahalanobis distance of the loop error of every ordered pair (paper, eq. 4).
 
@@ -85,18 +128,26 @@ def squared_mahalanobis(
         problem: of closures between two robots, see `consistency_problem`, or within one robot's
             map, see `within_problem`.
         kernel: "closed-form", or "jacfwd": the definition, by automatic differentiation.
+        mesh: devices that share the work, of one process or of several that all make this call
+            with the same problem. Each holds the whole problem and computes rows of its own;
+            nothing else passes between them. The closed form only.
 
     Returns:
         Of the valid closures alone. Where `problem.valid` is traced (inside jit or vmap) its
         padding cannot be cut, and padded rows and columns are infinite off the diagonal: no gate
-        lets them pass.
+        lets them pass. Nor is it cut with a mesh: rows are shared out evenly over its devices, in
+        order, and m is padded to a multiple of their number.
 
     Raises:
-        InputError: for another kernel.
+        InputError: for another kernel, or a mesh with the definition.
     """
     if kernel not in _KERNELS:
         raise InputError(f"kernel: {kernel!r}; expected one of {', '.join(map(repr, _KERNELS))}")
+    if mesh is not None and kernel != "closed-form":
+        raise InputError(f"mesh: given with kernel {kernel!r}; expected kernel 'closed-form'")
     with lie.own_precision(problem):
+        if mesh is not None:
+            return _by_rows(_on_all(problem, mesh), mesh)
         squared = _KERNELS[kernel](problem)
         if isinstance(problem.valid, Tracer):
             return squared
@@ -105,6 +156,14 @@ def squared_mahalanobis(
             return squared[valid[:, None], valid]
         # Cut by NumPy: an eager JAX gather would be compiled for every number of closures.
         return device_array(np.asarray(squared)[np.ix_(valid, valid)], squared.dtype)
+
+
+def _on_all(problem: Problem, mesh: Mesh) -> Problem:
+    """The problem on every device of a mesh; each process puts it on its own."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(problem)):
+        return problem
+    everywhere = NamedSharding(mesh, PartitionSpec())
+    return jax.tree.map(lambda leaf: jax.device_put(np.asarray(leaf), everywhere), problem)
 
 
 def squared_own_loops(problem: WithinProblem) -> Float[Array, " m"]:
