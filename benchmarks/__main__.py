@@ -15,6 +15,7 @@ from benchmarks.suite.harness import DATA, Case, Settings, chosen, run, write_js
 SUBJECTS = (
     "optimization",
     "marginals",
+    "memory",
     "distances",
     "streaming",
     "calibration",

@@ -5,17 +5,21 @@ is the same: relative and absolute tolerance 1e-9. GTSAM's pip build runs on one
 pose is held by a tight prior at its own start, which adds nothing to the cost.
 
 GTSAM's `Pose3` puts rotation first in its tangent, `Pose2` is (x, y, θ) like ours.
+
+JAX is not imported where a graph comes as `PlainGraph`: what GTSAM's process holds is GTSAM's.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from benchmarks.suite.harness import NotMeasuredError
-from pcm_jax import PoseGraph, lie
+
+if TYPE_CHECKING:
+    from pcm_jax import PoseGraph
 
 try:
     import gtsam  # pyright: ignore[reportMissingImports]
@@ -33,7 +37,31 @@ def require() -> None:
         raise NotMeasuredError("gtsam is not installed: pip install 'pcm-jax[bench]'")
 
 
-def factors_and_values(graph: PoseGraph, purpose: str) -> tuple[Any, Any]:
+class PlainGraph(NamedTuple):
+    """A pose graph as NumPy arrays, which a file can hold.
+
+    Attributes:
+        poses: `[n, k + 1, k + 1]` homogeneous matrices, k = 2 or 3.
+        tail, head: `[e]`.
+        measurement: `[e, k + 1, k + 1]`.
+        information: `[e, d, d]`, our order.
+    """
+
+    poses: Float[np.ndarray, "n k1 k1"]
+    tail: Int[np.ndarray, " e"]
+    head: Int[np.ndarray, " e"]
+    measurement: Float[np.ndarray, "e k1 k1"]
+    information: Float[np.ndarray, "e d d"]
+
+
+def plain(graph: PoseGraph) -> PlainGraph:
+    """The graph in plain arrays."""
+    ends = np.asarray(graph.tail), np.asarray(graph.head)
+    information = np.asarray(graph.information)
+    return PlainGraph(_matrices(graph.poses), *ends, _matrices(graph.measurement), information)
+
+
+def factors_and_values(graph: PoseGraph | PlainGraph, purpose: str) -> tuple[Any, Any]:
     """A nonlinear factor graph and the graph's own poses as GTSAM values.
 
     Args:
@@ -41,23 +69,20 @@ def factors_and_values(graph: PoseGraph, purpose: str) -> tuple[Any, Any]:
         purpose: "solve" or "marginals".
     """
     require()
-    pose, factor, prior, order = _kinds(graph.tangent_dim)
+    if not isinstance(graph, PlainGraph):
+        graph = plain(graph)
+    d = graph.information.shape[-1]
+    pose, factor, prior, order = _kinds(d)
     noise = gtsam.noiseModel
     values, factors = gtsam.Values(), gtsam.NonlinearFactorGraph()
-    for index, matrix in enumerate(_matrices(graph.poses)):
+    for index, matrix in enumerate(graph.poses):
         values.insert(index, pose(matrix))
-    information = np.asarray(graph.information)[:, order[:, None], order]
-    edges = zip(
-        np.asarray(graph.tail).tolist(),
-        np.asarray(graph.head).tolist(),
-        _matrices(graph.measurement),
-        information,
-        strict=True,
-    )
-    for tail, head, matrix, weight in edges:
+    information = graph.information[:, order[:, None], order]
+    ends = graph.tail.tolist(), graph.head.tolist()
+    for tail, head, matrix, weight in zip(*ends, graph.measurement, information, strict=True):
         factors.add(factor(tail, head, pose(matrix), noise.Gaussian.Information(weight)))
-    held = noise.Isotropic.Sigma(graph.tangent_dim, _SIGMA_HELD[purpose])
-    factors.add(prior(0, pose(_matrices(graph.poses)[0]), held))
+    held = noise.Isotropic.Sigma(d, _SIGMA_HELD[purpose])
+    factors.add(prior(0, pose(graph.poses[0]), held))
     return factors, values
 
 
@@ -67,6 +92,15 @@ def gauss_newton(factors: Any, values: Any) -> Any:
     parameters.setRelativeErrorTol(TOLERANCE)
     parameters.setAbsoluteErrorTol(TOLERANCE)
     return gtsam.GaussNewtonOptimizer(factors, values, parameters)
+
+
+def lago_and_gauss_newton(factors: Any) -> Any:
+    """The optimum of a planar graph in one go: start by LAGO, ordering, Gauss-Newton.
+
+    LAGO (Carlone et al. 2014) is GTSAM's linear initialisation in the plane; it needs diagonal
+    information.
+    """
+    return gauss_newton(factors, gtsam.lago.initialize(factors)).optimize()
 
 
 def levenberg_marquardt(factors: Any, values: Any) -> Any:
@@ -112,4 +146,6 @@ def _pose2(matrix: Float[np.ndarray, "3 3"]) -> Any:
 
 
 def _matrices(transforms: Any) -> Float[np.ndarray, "n k k"]:
+    from pcm_jax import lie
+
     return np.asarray(lie.as_matrix(lie.as_numpy(transforms)))

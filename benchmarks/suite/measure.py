@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.metadata
+import math
 import os
 import platform
 import resource
@@ -11,7 +12,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,6 +91,11 @@ def timing_of(call: Call, patience: Patience) -> Timing:
     return race({"": lambda: call}, patience)[""]
 
 
+def geometric_mean(ratios: Sequence[float]) -> float:
+    """What ratios are like on the whole: one of 2 and one of 1/2 are 1."""
+    return math.exp(statistics.fmean(map(math.log, ratios)))
+
+
 def in_words(seconds: float) -> str:
     """A duration, with a unit that suits it."""
     for unit, scale in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
@@ -113,12 +119,26 @@ def _range(timing: Timing) -> str:
     return f"{in_words(timing.median)} ({' to '.join(extremes)})"
 
 
+def resident_memory() -> float:
+    """The resident size of this process, in MB (10⁶ bytes); Linux only."""
+    return _status("VmRSS")
+
+
+def forget_peak_memory() -> None:
+    """Lets `peak_memory` begin anew at the present size; Linux only."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def _status(name: str) -> float:
+    status = Path("/proc/self/status").read_text()
+    (line,) = (line for line in status.splitlines() if line.startswith(f"{name}:"))
+    return int(line.split()[1]) * 1024 / 1e6
+
+
 def peak_memory() -> float:
     """The largest resident size of this process so far, in MB (10⁶ bytes)."""
     try:  # Linux: unlike `getrusage`, not inherited from the process that started this one
-        status = Path("/proc/self/status").read_text()
-        (line,) = (line for line in status.splitlines() if line.startswith("VmHWM:"))
-        return int(line.split()[1]) * 1024 / 1e6
+        return _status("VmHWM")
     except (OSError, ValueError):
         unit = 1 if sys.platform == "darwin" else 1024
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
