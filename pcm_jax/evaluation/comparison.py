@@ -141,7 +141,7 @@ def compare_methods(
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
-        bench = _Bench(graph, right, truth, optimized, minimum_inliers, engine)
+        bench = _Bench(graph, right, truth, rows, optimized, minimum_inliers, engine)
         return {label: bench.result(label, method) for label, method in rows.items()}
 
 
@@ -157,14 +157,26 @@ def mean_figures(results: Iterable[Mapping[str, Compared]]) -> dict[str, dict[st
     }
 
 
+class _Selected(NamedTuple):
+    """The closures that a method selects from Q, and how long that took."""
+
+    accepted: np.ndarray
+    seconds: float
+
+
 class _Bench:
-    """What all methods share on one graph: maps, Q, merges by the same closures, the reference."""
+    """What all methods share on one graph: maps, Q, merges by the same closures, the reference.
+
+    All merges share one symbolic plan, with room for whatever a method selects; but for the merge
+    by every closure, whose plan is large.
+    """
 
     def __init__(
         self,
         graph: MultiRobotGraph,
         inliers: np.ndarray,
         truth: Sequence[Any] | None,
+        rows: Mapping[str, Method],
         optimized: bool,
         minimum_inliers: int,
         engine: str,
@@ -174,14 +186,19 @@ class _Bench:
         self.graph, self.pairs = MultiRobotGraph(first.maps, graph.closures), first.pairs
         self.inliers, self.truth = inliers, truth
         self.minimum_inliers, self.engine = minimum_inliers, engine
+        self.selected = {
+            label: self._selected(method)
+            for label, method in rows.items()
+            if method.name in ALL_METHODS
+        }
+        chosen = [each.accepted for each in self.selected.values()]
+        self.room = np.any([inliers, *chosen], axis=0)
         self.merges: dict[bytes, Any] = {}
         self.reference = self._merged(inliers)
 
     def result(self, label: str, method: Method) -> Compared:
         if method.name in ALL_METHODS:
-            start = time.perf_counter()
-            accepted = self._selected(method)
-            selecting = time.perf_counter() - start
+            accepted, selecting = self.selected[label]
             merged = self._merged(accepted)
         elif method.name in ("true", "all"):
             accepted, selecting = self.inliers | (method.name == "all"), 0.0
@@ -193,12 +210,13 @@ class _Bench:
         seconds = selecting + merged.seconds["merge"] - merged.seconds["compile"]
         return Compared(accepted, maps, self._figures(merged, accepted, maps, seconds))
 
-    def _selected(self, method: Method) -> np.ndarray:
+    def _selected(self, method: Method) -> _Selected:
+        start = time.perf_counter()
         gate = float(chi2_gate(method.confidence, self.graph.tangent_dim))
         accepted = np.zeros_like(self.inliers)
         for pair in self.pairs:
             accepted[pair.closures] = self._of_pair(pair, gate, method)
-        return accepted
+        return _Selected(accepted, time.perf_counter() - start)
 
     def _of_pair(self, pair: PairSelection, gate: float, method: Method) -> np.ndarray:
         members = choose(pair.squared, gate, method=method.name, **dict(method.options)).members
@@ -207,9 +225,9 @@ class _Bench:
     def _merged(self, accepted: np.ndarray) -> Any:
         key = accepted.tobytes()
         if key not in self.merges:
-            self.merges[key] = merge(
-                self.graph, inliers=accepted, optimized=True, engine=self.engine
-            )
+            options = {"optimized": True, "engine": self.engine}
+            room = self.room if not np.any(accepted & ~self.room) else None
+            self.merges[key] = merge(self.graph, inliers=accepted, room_for=room, **options)
         return self.merges[key]
 
     def _robust(self, method: Method) -> Any:

@@ -23,7 +23,7 @@ import lineax as lx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax.mapping.assembly import plan_for
+from pcm_jax.mapping.assembly import CholeskyPlan, plan_for
 from pcm_jax.mapping.cholesky import CholeskyFactor, NotPositiveDefiniteError, factorize
 from pcm_jax.mapping.linearization import apart, multiply
 from pcm_jax.mapping.pattern_cache import PatternCache
@@ -33,7 +33,6 @@ class System:
     """The pattern of a pose graph's normal equations, with some poses held fixed.
 
     Attributes:
-        plan: of the factorisation; edges between the same two poses share a block.
         size, edges: unpadded numbers of poses and edges.
         handle: the number by which traced code names this system.
     """
@@ -51,9 +50,17 @@ class System:
         self.tail, self.head = tail, head
         self.free_tail, self.free_head = ~fixed[tail], ~fixed[head]
         self.both = np.flatnonzero(self.free_tail & self.free_head)
-        self.plan = plan_for(size, tail[self.both], head[self.both], block_dim)
+        self._pattern = size, tail[self.both], head[self.both], block_dim
         self.handle = next(_handles)
         _systems[self.handle] = self
+
+    @property
+    def plan(self) -> CholeskyPlan:
+        """Of the factorisation; edges between the same two poses share a block.
+
+        Made when it is first needed, which CHOLMOD never does, and kept by its own cache.
+        """
+        return plan_for(*self._pattern)
 
     @functools.cached_property
     def _sum_blocks(self) -> Any:
@@ -85,20 +92,21 @@ class System:
         Raises:
             NotPositiveDefiniteError: the system is singular or not finite.
         """
-        d = self.plan.block_dim
+        plan = self.plan
+        d = plan.block_dim
         terms = np.array(products[:, : self.edges])
-        flipped = self.both[self.plan.edge_transposed]
+        flipped = self.both[plan.edge_transposed]
         terms[2, flipped] = terms[2, flipped].transpose(0, 2, 1)
         blocks = (self._sum_blocks @ terms.reshape(-1, d * d)).reshape(-1, d, d)
         scalar = np.arange(d)
         blocks[: self.size, scalar, scalar] *= 1.0 + damping
-        blocks[self.plan.position[self.fixed]] = np.eye(d)
-        return factorize(self.plan, blocks)
+        blocks[plan.position[self.fixed]] = np.eye(d)
+        return factorize(plan, blocks)
 
     def gradient(self, gradients: Float[np.ndarray, "2 e d"]) -> Float[np.ndarray, "n d"]:
         """Jᵀ r of every pose; zero for fixed ones."""
         terms = np.ascontiguousarray(gradients[:, : self.edges])
-        return self._sum_gradient @ terms.reshape(-1, self.plan.block_dim)
+        return self._sum_gradient @ terms.reshape(-1, gradients.shape[2])
 
 
 _handles = itertools.count()

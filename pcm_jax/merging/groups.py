@@ -34,5 +34,6 @@ def robot_groups(
 def closures_within(
     members: tuple[int, ...], closures: LoopClosures, accepted: Bool[np.ndarray, " m"]
 ) -> Int[np.ndarray, " k"]:
-    """Indices of the accepted closures between the robots of one of `robot_groups`."""
-    return np.flatnonzero(accepted & np.isin(np.asarray(closures.robot_a), members))
+    """Indices of the accepted closures between the robots of a group, other ends left out."""
+    ends = np.asarray(closures.robot_a), np.asarray(closures.robot_b)
+    return np.flatnonzero(accepted & np.isin(ends, members).all(axis=0))

@@ -15,12 +15,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution, optimize
+from pcm_jax.mapping.least_squares import PoseProblem
+from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.precision import device_array
 
 PATIENCE = 15
@@ -68,25 +70,35 @@ def joint_graph(
     )
 
 
-def solve_joint(joint: PoseGraph, closures: int, *, method: str, engine: str) -> Solution:
+def solve_joint(
+    roomy: PoseGraph, used: Bool[np.ndarray, " k"], *, method: str, engine: str
+) -> Solution:
     """Solves a merged graph from its own poses, and harder if that does not converge.
 
     In turn, until one converges: the given method from the maps as they are aligned; from the
-    chordal relaxation of the whole; and the incremental rebuild of the paper's section VI.
+    chordal relaxation of the whole; and the incremental rebuild of the paper's section VI. The
+    first has all closures in its pattern, those not used at no weight, so that solves by other
+    closures of the same graph share its plan.
 
     Args:
-        joint: from `joint_graph`.
-        closures: how many of its last edges are closures.
+        roomy: from `joint_graph`.
+        used: which of its last edges, the closures, are to hold.
         method: "gauss-newton" or "levenberg-marquardt".
         engine: "blocks" or "cholmod".
+
+    Returns:
+        The solution; its graph has the closures used and no other.
     """
-    attempts = []
-    for start in ("given", "chordal"):
-        solution = optimize(joint, initial=start, method=method, engine=engine, max_steps=PATIENCE)
-        if solution.converged:
-            return solution
-        attempts.append(solution)
-    solution = rebuild(joint, closures, engine=engine)
+    own = np.ones(roomy.num_edges - len(used), bool)
+    kept = np.concatenate([own, used])
+    joint = roomy if used.all() else _with_edges(roomy, np.flatnonzero(kept))
+    options = {"method": method, "engine": engine, "max_steps": PATIENCE}
+    attempts = [_solve_in(roomy, kept, joint, options)]
+    if not attempts[-1].converged:
+        attempts.append(optimize(joint, initial="chordal", **options))
+    if attempts[-1].converged:
+        return attempts[-1]
+    solution = rebuild(joint, int(used.sum()), engine=engine)
     if solution.converged:
         return solution
     warnings.warn(
@@ -96,6 +108,18 @@ def solve_joint(joint: PoseGraph, closures: int, *, method: str, engine: str) ->
         stacklevel=2,
     )
     return min([*attempts, solution], key=lambda s: s.cost if math.isfinite(s.cost) else math.inf)
+
+
+def _solve_in(
+    roomy: PoseGraph, kept: Bool[np.ndarray, " e"], joint: PoseGraph, options: dict[str, Any]
+) -> Solution:
+    """Solves `joint`, the kept edges of `roomy`, from its own poses by the plan of all edges."""
+    if kept.all():
+        return optimize(joint, initial="given", **options)
+    problem = PoseProblem(*host_arrays(roomy), np.arange(roomy.num_poses) == 0)
+    solved = problem.solve(roomy.poses, scale=kept.astype(float), **options)
+    graph = joint.with_poses(lie.as_device(solved.poses))
+    return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
 
 
 def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solution:

@@ -36,6 +36,7 @@ def merge(
     method: str = "pcm-exact",
     confidence: float = 0.99,
     inliers: Any = None,
+    room_for: Any = None,
     optimized: bool = False,
     minimum_inliers: int = 2,
     time_limit: float | None = None,
@@ -54,6 +55,10 @@ def merge(
         confidence: probability that the loop of two right closures passes the gate; of a robust
             method, that one right closure does.
         inliers: bool `[m]` or indices: the closures to use instead of selecting any.
+        room_for: bool `[m]` or indices: closures for which the merged map's symbolic plan has room
+            besides those accepted. Merges of one graph by different closures share one plan if
+            all of these are named in each; the results differ by rounding alone. A plan with room
+            for false closures is large: name what some merge accepts, not every candidate.
         optimized: whether the maps are at their optimum already.
         minimum_inliers: a pair of robots that accepts fewer closures accepts none.
         time_limit: seconds for each robot pair's clique.
@@ -89,7 +94,8 @@ def merge(
             tell(f"optimising {len(graph.maps)} maps")
             maps = optimized_maps(graph.maps, optimized)
             seconds = dict.fromkeys(STAGES, 0.0) | {"optimize": time.perf_counter() - start}
-            accepted = _given(inliers, len(graph.closures))
+            everything = np.ones(len(graph.closures), bool)
+            accepted = everything if inliers is None else _mask("inliers", inliers, graph)
         own = MultiRobotGraph(maps, graph.closures)
         start = time.perf_counter()
         if method in ROBUST_METHODS:
@@ -101,7 +107,8 @@ def merge(
             solved = _regroup(own, accepted, robust)
         else:
             tell(f"merging with {int(accepted.sum())} of {len(accepted)} closures")
-            solved = _solve(own, accepted, solver or "gauss-newton", engine)
+            room = accepted if room_for is None else accepted | _mask("room_for", room_for, graph)
+            solved = _solve(own, accepted, room, solver or "gauss-newton", engine)
     merged, anchors, solution, groups = solved
     seconds |= {"merge": time.perf_counter() - start, "compile": compiling.seconds}
     return MergeResult(
@@ -164,29 +171,27 @@ def _check(graph: MultiRobotGraph) -> None:
         )
 
 
-def _given(inliers: Any, count: int) -> np.ndarray:
-    """The mask of a mask or of indices; all, where None."""
-    if inliers is None:
-        return np.ones(count, bool)
-    chosen = np.asarray(inliers)
+def _mask(name: str, given: Any, graph: MultiRobotGraph) -> np.ndarray:
+    """The mask of a mask or of indices of closures."""
+    count, chosen = len(graph.closures), np.asarray(given)
     if chosen.dtype == bool:
         if chosen.shape != (count,):
-            raise InputError(f"inliers: shape {chosen.shape}, expected [{count}], one per closure")
+            raise InputError(f"{name}: shape {chosen.shape}, expected [{count}], one per closure")
         return chosen.copy()
     mask = np.zeros(count, bool)
     if chosen.size == 0:
         return mask
     if chosen.dtype.kind not in "iu" or chosen.ndim != 1:
-        raise InputError(f"inliers: dtype {chosen.dtype}, expected bool [m] or integer indices")
+        raise InputError(f"{name}: dtype {chosen.dtype}, expected bool [m] or integer indices")
     outside = chosen[(chosen < 0) | (chosen >= count)]
     if outside.size:
-        raise InputError(f"inliers: index {outside[0]}, expected 0 … {count - 1}")
+        raise InputError(f"{name}: index {outside[0]}, expected 0 … {count - 1}")
     mask[chosen] = True
     return mask
 
 
 def _solve(
-    graph: MultiRobotGraph, accepted: np.ndarray, solver: str, engine: str
+    graph: MultiRobotGraph, accepted: np.ndarray, room: np.ndarray, solver: str, engine: str
 ) -> tuple[MultiRobotGraph, Any, MergeSolution, tuple[tuple[int, ...], ...]]:
     """Aligns and solves every group; puts the poses back into the robots' maps."""
     groups = robot_groups(len(graph.maps), graph.closures, accepted)
@@ -194,11 +199,11 @@ def _solve(
     poses: list[Any] = [None] * len(graph.maps)
     solutions, rows, columns = [], 0, 0
     for members in groups:
-        used = closures_within(members, graph.closures, accepted)
-        joint = joint_graph(graph, members, used, start)
-        solution = solve_joint(joint, len(used), method=solver, engine=engine)
+        planned = closures_within(members, graph.closures, room)
+        joint = joint_graph(graph, members, planned, start)
+        solution = solve_joint(joint, accepted[planned], method=solver, engine=engine)
         solutions.append(solution)
-        rows += joint.num_edges
+        rows += solution.graph.num_edges
         columns += joint.num_poses - 1
         merged, first = lie.as_numpy(solution.graph.poses), 0
         if len(members) == 1:  # at its optimum already, and to stay as it is

@@ -15,7 +15,7 @@ from pcm_jax import lie
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files import read_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
-from pcm_jax.mapping import optimize
+from pcm_jax.mapping import assembly, optimize
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.linearization import retract, whitened_residual
 from pcm_jax.mapping.optimization import host_arrays
@@ -254,6 +254,38 @@ def test_a_given_set_as_mask_or_indices(world):
     assert by_mask.solution.cost == by_index.solution.cost
 
 
+@pytest.mark.parametrize("engine", ["blocks", "cholmod"])
+def test_merges_with_room_for_each_other_share_a_plan(world, result, engine, monkeypatch):
+    sparsax = pytest.importorskip("sparsax")
+    graph = MultiRobotGraph(result.maps, world.graph.closures)
+    true = np.flatnonzero(world.inliers)
+    false = np.flatnonzero(~world.inliers)[:1]
+    room = np.concatenate([true, false])
+    sets = [true, true[1:], true[::2], np.concatenate([true[2:], false])]
+    alone = [merge(graph, inliers=each, optimized=True, engine=engine) for each in sets]
+
+    before, planned, plan = sparsax.cache_size(), [], assembly.front_tree
+    monkeypatch.setattr(assembly, "front_tree", lambda *a: planned.append(len(a[1])) or plan(*a))
+    options = {"optimized": True, "engine": engine, "room_for": room}
+    together = [merge(graph, inliers=each, **options) for each in sets]
+    made = len(planned) if engine == "blocks" else sparsax.cache_size() - before
+    assert made == 1
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(other.inliers, one.inliers)
+        assert other.solution.cost == pytest.approx(one.solution.cost, rel=1e-9)
+        assert other.solution.normalized_chi2 == pytest.approx(one.solution.normalized_chi2)
+        assert other.solution.iterations == one.solution.iterations
+        for a, b in zip(one.graph.maps, other.graph.maps, strict=True):
+            np.testing.assert_allclose(lie.as_matrix(b.poses), lie.as_matrix(a.poses), atol=1e-9)
+
+
+def test_room_between_groups_joins_nobody(world, result):
+    graph = MultiRobotGraph(result.maps, world.graph.closures)
+    apart = merge(graph, inliers=[], room_for=world.inliers, optimized=True)
+    assert apart.groups == ((0,), (1,))
+    assert apart.solution.cost == merge(graph, inliers=[], optimized=True).solution.cost
+
+
 def test_report_is_plain_and_complete(world):
     result = merge(world.graph)
     report = json.loads(json.dumps(result.report(), allow_nan=False))
@@ -311,6 +343,8 @@ def test_bad_arguments(world):
         merge(graph, inliers=np.ones(3, bool))
     with pytest.raises(InputError, match="inliers: index 999"):
         merge(graph, inliers=[999])
+    with pytest.raises(InputError, match="room_for: shape"):
+        merge(graph, inliers=[0, 1], room_for=np.ones(3, bool))
     with pytest.raises(InputError, match="method: 'best', expected one of"):
         merge(graph, method="best")
 
