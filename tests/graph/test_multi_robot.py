@@ -140,3 +140,10 @@ def test_a_piece_that_falls_apart(make_graph, group):
     )
     with pytest.raises(InputError, match=r"at: piece 1 \(poses 0 to 2\) cannot be a map: .* 3 par"):
         split(star, [3])
+
+
+def test_traced_closures_are_not_checked(make_graph):
+    """They have no values yet; the constructor works inside jit."""
+    maps = (make_graph(jaxlie.SE2), make_graph(jaxlie.SE2))
+    seen = jax.jit(lambda closures: MultiRobotGraph(maps, closures).closures.pose_b)
+    assert seen(closures_of(jaxlie.SE2, pose_b=3)) == 3
