@@ -16,6 +16,7 @@ SUBJECTS = (
     "optimization",
     "marginals",
     "memory",
+    "sweeps",
     "distances",
     "streaming",
     "calibration",
