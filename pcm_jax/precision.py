@@ -13,6 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 import jax
 import numpy as np
 
+_ALIGNMENT = 64  # bytes
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -31,4 +32,16 @@ def in_float64(function: Callable[P, R]) -> Callable[P, R]:
 def device_array(values: Any, dtype: Any = np.float64) -> jax.Array:
     """A JAX array of exactly `dtype`, also where 64-bit types are not enabled."""
     with jax.enable_x64(True):
-        return jax.device_put(np.asarray(values, dtype=dtype))  # copies; compiles nothing
+        return jax.device_put(np.asarray(values, dtype=dtype))  # compiles nothing
+
+
+def shareable_zeros(shape: tuple[int, ...]) -> np.ndarray:
+    """float64 zeros for `device_array` to take as they are, on a CPU, instead of copying them.
+
+    XLA uses foreign memory that is aligned to its vector registers; nothing may be written into it
+    from then on.
+    """
+    size = int(np.prod(shape)) * 8
+    raw = np.zeros(size + _ALIGNMENT, np.uint8)
+    start = -raw.ctypes.data % _ALIGNMENT
+    return raw[start : start + size].view(np.float64).reshape(shape)

@@ -1,13 +1,14 @@
 """Step ii, the squared distances of all pairs: time, and the closed form against the definition.
 
-Times are those of the compiled kernel on a problem that is at hand, per ordered pair. The
-definition (vmap and jacfwd over the same pairs) is timed on fewer closures, since its time per pair
-does not depend on their number.
+Times are those of the compiled kernel on a problem at hand, per ordered pair, and those of all the
+way from given joint covariances of the touched poses. The definition (vmap and jacfwd over the same
+pairs) is timed on fewer closures, since its time per pair does not depend on their number.
 """
 
 from __future__ import annotations
 
 import functools
+import time
 from typing import Any
 
 import jax
@@ -15,7 +16,16 @@ import jaxlie
 import numpy as np
 
 from benchmarks.suite.harness import Case, Measured, Metric, Settings
-from benchmarks.suite.measure import Call, alone, in_words, race, seconds_of
+from benchmarks.suite.measure import (
+    Call,
+    Patience,
+    alone,
+    in_words,
+    peak_memory,
+    race,
+    seconds_of,
+    timing_of,
+)
 from benchmarks.suite.random_worlds import moved, random_closures, random_map
 from pcm_jax import (
     ConsistencyProblem,
@@ -25,10 +35,10 @@ from pcm_jax import (
     optimize,
     squared_mahalanobis,
 )
-from pcm_jax.simulation import simulate_city
+from pcm_jax.simulation import simulate_city, simulate_sessions
 
 GROUPS = {"SE2": jaxlie.SE2, "SE3": jaxlie.SE3}
-MANY, FEW = 1_000, 192
+MANY, MOST, FEW = 1_000, 3_000, 192
 PAPER = 115
 FAR = 1e5  # metres
 RANK = 60  # of the random joint covariances
@@ -36,7 +46,8 @@ RANK = 60  # of the random joint covariances
 
 def many_in_space(settings: Settings) -> dict[str, Measured]:
     """SE(3), 1,000 closures between as many poses of either map."""
-    closed, jacfwd = _kernel("closed-form", MANY), _kernel("jacfwd", FEW)
+    closed = _compiled("closed-form", consistency_problem(**_chains(MANY)))
+    jacfwd = _compiled("jacfwd", consistency_problem(**_chains(FEW)))
     first, first_jacfwd = seconds_of(closed), seconds_of(jacfwd)
     times = race({"closed": lambda: closed, "jacfwd": lambda: jacfwd}, settings.patience)
     ours, theirs = times["closed"].median, times["jacfwd"].median
@@ -47,6 +58,60 @@ def many_in_space(settings: Settings) -> dict[str, Measured]:
             (theirs / FEW**2) / (ours / MANY**2),
             f"jacfwd, m = {FEW}: {1e6 * theirs / FEW**2:.3g} µs a pair,"
             f" {in_words(first_jacfwd - theirs)} to compile",
+        ),
+    }
+
+
+def from_marginals(count: int, settings: Settings) -> dict[str, Measured]:
+    """SE(3): all the way from two joint covariances, and the kernel on the result."""
+    before = peak_memory()
+    chains = _chains(count)
+    inputs = sum(joint.nbytes for joint in chains["marginals"]) / 1e6
+
+    problems = []
+
+    def gather() -> None:
+        problems[:] = [consistency_problem(**chains)]
+
+    patience = Patience(1, 1.0, most_seconds=10.0)
+    gathering = timing_of(gather, patience)
+    kernel = _compiled("closed-form", problems[0])
+    kernel()
+    peak = peak_memory() - before
+    busy, start = time.process_time(), time.perf_counter()
+    weighing = timing_of(kernel, patience)
+    cores = (time.process_time() - busy) / (time.perf_counter() - start)
+    memory = f"{peak:.0f} MB with the {inputs:.0f} MB of both joint covariances"
+    whole = f"{alone(gathering)}, to gather; {in_words(weighing.median)} to weigh"
+    return {
+        "pair": Measured(1e6 * weighing.median / count**2, alone(weighing)),
+        "cores": Measured(cores, "kept busy by the kernel: processor time over wall-clock time"),
+        "pair_from_marginals": Measured(
+            1e6 * (gathering.median + weighing.median) / count**2, whole
+        ),
+        "peak_over_inputs": Measured(peak / inputs, memory),
+    }
+
+
+def in_float32(group: str, settings: Settings) -> dict[str, Measured]:
+    """What float32 costs in digits and gains in time, in a simulated world."""
+    simulated = {"SE2": simulate_city, "SE3": simulate_sessions}[group]().graph
+    closures, _ = simulated.closures.between(0, 1)
+    double = consistency_problem(*(optimize(one).graph for one in simulated.maps), closures)
+    single = double.astype(np.float32)
+    exact, found = (np.asarray(squared_mahalanobis(each), float) for each in (double, single))
+    problems = {"float64": double, "float32": single}
+    kernels = {name: _compiled("closed-form", each) for name, each in problems.items()}
+    for kernel in kernels.values():
+        kernel()
+    times = race(
+        {name: lambda call=call: call for name, call in kernels.items()}, settings.patience
+    )
+    error = np.abs(found - exact) / np.maximum(exact, closures.tangent_dim)
+    return {
+        "error": Measured(float(error.max()), "largest change, relative to q² or to d"),
+        "over_float64": Measured(
+            times["float32"].median / times["float64"].median, alone(times["float32"])
         ),
     }
 
@@ -87,11 +152,14 @@ def agreement(group: str, settings: Settings) -> dict[str, Measured]:
     }
 
 
-def _chained_problem(count: int) -> ConsistencyProblem:
+def _chains(count: int) -> dict[str, Any]:
     """Closures between two chains of `count` poses, each touched once, in space.
 
     The joint covariances are random ones of low rank: the kernel's time does not depend on them,
     and finding those of 6,000 coordinates would take longer than all the rest.
+
+    Returns:
+        what `consistency_problem` takes.
     """
     generator = np.random.default_rng(count)
     maps = []
@@ -102,11 +170,7 @@ def _chained_problem(count: int) -> ConsistencyProblem:
     closures = random_closures(generator, maps, count, once=True)
     roots = generator.normal(scale=0.01, size=(2, 6 * count, RANK))
     marginals = roots[0] @ roots[0].T, roots[1] @ roots[1].T
-    return consistency_problem(maps[0], maps[1], closures, marginals=marginals)
-
-
-def _kernel(name: str, count: int) -> Call:
-    return _compiled(name, _chained_problem(count))
+    return {"map_a": maps[0], "map_b": maps[1], "closures": closures, "marginals": marginals}
 
 
 def _compiled(kernel: str, problem: ConsistencyProblem) -> Call:
@@ -127,7 +191,7 @@ CASES = [
     Case(
         f"distances/SE3-{MANY}",
         (
-            Metric("pair", "µs", figure=0.4),
+            Metric("pair", "µs", figure=0.15),
             Metric("compilation", "s"),
             Metric("speedup_over_jacfwd", "×", "higher", figure=50.0),
         ),
@@ -141,6 +205,31 @@ CASES = [
             Metric("from_maps", "ms"),
         ),
         paper_in_plane,
+    ),
+    *(
+        Case(
+            f"distances/SE3-{count}-from-marginals",
+            (
+                Metric("pair", "µs", figure=0.15),
+                Metric("cores", "", "higher", figure=1.6),
+                Metric("pair_from_marginals", "µs", figure=0.15),
+                Metric("peak_over_inputs", "×", figure=3.0, tolerance=0.2),
+            ),
+            functools.partial(from_marginals, count),
+            slow=count == MOST,
+        )
+        for count in (MANY, MOST)
+    ),
+    *(
+        Case(
+            f"distances/float32-{group}",
+            (
+                Metric("error", "relative", figure=1e-3, tolerance=None, digits=2),
+                Metric("over_float64", "×"),
+            ),
+            functools.partial(in_float32, group),
+        )
+        for group in GROUPS
     ),
     *(
         Case(

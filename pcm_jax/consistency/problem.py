@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from pcm_jax import lie, padding
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.lie import unrolled
-from pcm_jax.precision import device_array, in_float64
+from pcm_jax.precision import device_array, in_float64, shareable_zeros
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
@@ -231,7 +231,7 @@ def relative_covariance(
         size: rows of the result, at least k; those beyond k are zero.
     """
     k, d = len(order), lie.tangent_dim(poses)
-    packed = np.zeros((d * (d + 1) // 2, size, size))
+    packed = shareable_zeros((d * (d + 1) // 2, size, size))
     if k == 0:
         return packed
     adjoint = np.asarray(lie.adjoint(lie.take(poses, order)))

@@ -37,7 +37,7 @@ from pcm_jax.consistency.closed_form import gather, per_closure, weigh
 from pcm_jax.consistency.problem import check_pair, padded, recentred
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
-from pcm_jax.precision import device_array, in_float64
+from pcm_jax.precision import device_array, in_float64, shareable_zeros
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
@@ -277,7 +277,7 @@ class _Side:
         """G of the rows from `first` on, from columns of right-by-left covariances."""
         position = self._factor.plan.position[self._touched]
         k, d, count = len(position), solution.shape[1], len(columns)
-        packed = np.zeros((len(self._own), k, self._most))
+        packed = shareable_zeros((len(self._own), k, self._most))
         for start in range(first, k, ROWS_AT_ONCE):
             rows = slice(start, min(start + ROWS_AT_ONCE, k))
             right = solution[position[rows]].reshape(-1, d, d * count)
