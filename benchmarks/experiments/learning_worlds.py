@@ -33,6 +33,7 @@ from pcm_jax import (
     lie,
     optimize,
 )
+from pcm_jax.errors import InputError
 from pcm_jax.simulation import SimulatedWorld, simulate_city
 
 COUNTS = {"true": 12, "slipped": 20, "aliased": 6, "random": 26}
@@ -86,30 +87,33 @@ def _world(seed: Any) -> LearningWorld:
     closures = dataclasses.replace(city.graph.closures, measurement=lie.as_device(measurement))
     graph = MultiRobotGraph(maps, closures)
     return LearningWorld(
-        graph,
-        consistency_problem(*graph.maps, closures),
-        _features(generator, kind, overlap, corridor, measurement),
-        kind == "true",
-        city.truth,
-        sigma,
-        np.asarray(lie.log(lie.between(exact, measurement))),
+        graph=graph,
+        problem=consistency_problem(maps[0], maps[1], closures),
+        features=_features(generator, kind, overlap, corridor, measurement),
+        right=kind == "true",
+        truth=city.truth,
+        sigma=sigma,
+        error=np.asarray(lie.log(lie.between(exact, measurement))),
     )
 
 
 def _city(generator: Any) -> tuple[SimulatedWorld, tuple[PoseGraph, ...]]:
-    """A city and its optimised maps; the few without enough loop closures are drawn again."""
+    """A city and its optimised maps; drawn again if a map has few loops or robots seldom meet."""
     while True:
-        city = simulate_city(
-            seed=generator,
-            poses=POSES,
-            blocks=BLOCKS,
-            inliers=COUNTS["true"] + COUNTS["slipped"],
-            aliased_groups=1,
-            aliased_size=COUNTS["aliased"],
-            random=COUNTS["random"],
-            random_range=REACH,
-            reach=REACH,
-        )
+        try:
+            city = simulate_city(
+                seed=generator,
+                poses=POSES,
+                blocks=BLOCKS,
+                inliers=COUNTS["true"] + COUNTS["slipped"],
+                aliased_groups=1,
+                aliased_size=COUNTS["aliased"],
+                random=COUNTS["random"],
+                random_range=REACH,
+                reach=REACH,
+            )
+        except InputError:
+            continue
         if all(own.num_edges >= POSES - 1 + LOOPS for own in city.graph.maps):
             return city, tuple(optimize(_with_few_loops(own)).graph for own in city.graph.maps)
 
