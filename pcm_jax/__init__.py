@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         to_networkx,
     )
     from pcm_jax.errors import FileFormatError, InputError, InputWarning
+    from pcm_jax.evaluation import sweep
     from pcm_jax.files import read_graph, read_trajectory, write_g2o, write_trajectory
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
     from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
@@ -77,6 +78,7 @@ __all__ = [
     "squared_mahalanobis",
     "squared_mahalanobis_of",
     "stream_consistency_graph",
+    "sweep",
     "to_networkx",
     "write_g2o",
     "write_trajectory",
@@ -108,6 +110,7 @@ _NAMES_OF = {
         "select_within",
         "soft_select",
     ),
+    "evaluation": ("sweep",),
     "merging": ("MergeResult", "merge", "merge_differentiable"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}

@@ -3,6 +3,7 @@
 metrics      rates, map errors, trajectory errors
 comparison   every method on the same maps, closures and Q
 tables       the comparison as text
+sweep        every method at every gate on thousands of simulated worlds, to Parquet files
 plots        every picture; needs matplotlib
 """
 
@@ -21,6 +22,7 @@ from pcm_jax.evaluation.metrics import (
     translation_mse,
     true_positive_rate,
 )
+from pcm_jax.evaluation.sweep import sweep
 from pcm_jax.evaluation.tables import comparison_table
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "relative_map_pose_error",
     "relative_pose_error",
     "rotation_mse",
+    "sweep",
     "translation_mse",
     "true_positive_rate",
 ]

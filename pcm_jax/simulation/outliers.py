@@ -25,8 +25,8 @@ from pcm_jax.simulation.measurements import measure, space_dim
 
 RANDOM_LABEL = -1
 # Places that are mistaken for each other lie at least this fraction of the maps' diagonal apart.
-_ALIAS_SEPARATION = 0.25
-_ALIAS_DRAWS = 64
+ALIAS_SEPARATION = 0.25
+ALIAS_DRAWS = 64
 
 
 class Candidates(NamedTuple):
@@ -131,11 +131,11 @@ def _wrong_alignment(
     The shift s, of up to `reach` along every axis, keeps W off the grid of streets, where two
     independent draws could coincide.
     """
-    i = generator.integers(len(lie.translation(truth_a)), size=_ALIAS_DRAWS)
-    k = generator.integers(len(lie.translation(truth_b)), size=_ALIAS_DRAWS)
+    i = generator.integers(len(lie.translation(truth_a)), size=ALIAS_DRAWS)
+    k = generator.integers(len(lie.translation(truth_b)), size=ALIAS_DRAWS)
     apart = np.linalg.norm(lie.translation(truth_a)[i] - lie.translation(truth_b)[k], axis=1)
     low, high = _bounding_box(truth_a, truth_b)
-    far = apart >= _ALIAS_SEPARATION * np.linalg.norm(high - low)
+    far = apart >= ALIAS_SEPARATION * np.linalg.norm(high - low)
     drawn = np.argmax(far) if far.any() else np.argmax(apart)
     group = lie.group_of(truth_a)
     tangent: Any = np.zeros(lie.tangent_dim(group))
