@@ -29,7 +29,14 @@ if TYPE_CHECKING:
     )
     from pcm_jax.errors import FileFormatError, InputError, InputWarning
     from pcm_jax.evaluation import sweep
-    from pcm_jax.files import read_graph, read_trajectory, write_g2o, write_trajectory
+    from pcm_jax.files import (
+        from_gtsam,
+        read_graph,
+        read_trajectory,
+        to_gtsam,
+        write_g2o,
+        write_trajectory,
+    )
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
     from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge, merge_differentiable
@@ -63,6 +70,7 @@ __all__ = [
     "clean_maps",
     "consistency_graph",
     "consistency_problem",
+    "from_gtsam",
     "joint_marginal_covariance",
     "maximum_clique",
     "merge",
@@ -79,6 +87,7 @@ __all__ = [
     "squared_mahalanobis_of",
     "stream_consistency_graph",
     "sweep",
+    "to_gtsam",
     "to_networkx",
     "write_g2o",
     "write_trajectory",
@@ -87,7 +96,14 @@ __all__ = [
 _NAMES_OF = {
     "errors": ("FileFormatError", "InputError", "InputWarning"),
     "graph": ("LoopClosures", "MultiRobotGraph", "PoseGraph", "split"),
-    "files": ("read_graph", "read_trajectory", "write_g2o", "write_trajectory"),
+    "files": (
+        "from_gtsam",
+        "read_graph",
+        "read_trajectory",
+        "to_gtsam",
+        "write_g2o",
+        "write_trajectory",
+    ),
     "mapping": ("Solution", "joint_marginal_covariance", "optimize"),
     "consistency": (
         "ConsistencyProblem",

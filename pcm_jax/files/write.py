@@ -61,16 +61,21 @@ def write_g2o(
         write_text(table, _id_table(graph.maps))
         header = [TABLE_LINE.format(file=table.name)]
     else:
-        header, keys = _original(graph.maps)
+        header, keys = original_keys(graph.maps)
     if any((np.diff(pose_graph.ids) < 0).any() for pose_graph in graph.maps):
         header.append(ORDER_LINE)
     write_text(path, "\n".join([*header, *_body(graph, keys), ""]))
 
 
-def _check_writable(graph: MultiRobotGraph) -> None:
-    """The group has a tag, and the names fit into a comment."""
+def check_group(graph: MultiRobotGraph) -> None:
+    """Raises `InputError` for a group that formats do not know."""
     if graph.group not in (jaxlie.SE2, jaxlie.SE3):
         raise InputError(f"graph: {graph.group.__name__} given, expected SE2 or SE3")
+
+
+def _check_writable(graph: MultiRobotGraph) -> None:
+    """The group has a tag, and the names fit into a comment."""
+    check_group(graph)
     for name in graph.names:
         if not name.isprintable() or name.strip() != name:
             raise InputError(
@@ -95,8 +100,12 @@ def _id_table(maps: Sequence[PoseGraph]) -> str:
     return text.getvalue()
 
 
-def _original(maps: Sequence[PoseGraph]) -> tuple[list[str], list[np.ndarray]]:
-    """Comments, and the ids to write for each robot's poses."""
+def original_keys(maps: Sequence[PoseGraph]) -> tuple[list[str], list[np.ndarray]]:
+    """Comments, and the ids to write for each robot's poses: one robot's own, else symbol keys.
+
+    Raises:
+        InputError: for ids that fit no symbol key, or more robots than letters.
+    """
     if len(maps) == 1 and not symbols.letters_of(maps[0].ids).any():
         name = maps[0].name
         header = [] if name == "a" else [ROBOT_LINE.format(letter="-", kind="id", name=name)]
