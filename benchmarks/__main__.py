@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.suite import report
+from benchmarks.suite import headlines, report
 from benchmarks.suite.harness import DATA, Case, Settings, chosen, run, write_json
 
 SUBJECTS = (
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     machine = json.loads((options.out / "machine.json").read_text())
     if options.record:
         report.record(entries, machine)
+        headlines.record(entries)
     print(f"\n{report.table(entries)}\n\n{_counts(entries)}")
     print(f"{time.perf_counter() - start:.0f} s; wrote {options.out / 'summary.json'}")
     return int(any(outcome.failure for outcome in outcomes.values()))

@@ -66,6 +66,7 @@ class Metric(NamedTuple):
         tolerance: relative change against the baseline that is no news; None where the figure
             alone counts, as for rounding errors.
         digits: of the value, in tables.
+        reason: why the figure is missed, where it is, as profiling showed it.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Metric(NamedTuple):
     figure: float | tuple[float, float] | None = None
     tolerance: float | None = 0.5
     digits: int = 3
+    reason: str = ""
 
     def reached(self, value: float | None) -> bool | None:
         """Whether a value is as good as it should be; None where nothing is promised."""

@@ -56,6 +56,7 @@ def _entry(metric: Metric, outcome: Outcome, before: Entry) -> Entry:
         "case_seconds": outcome.seconds,
         "peak_memory_mb": None if value is None else outcome.peak_memory,
         "digits": metric.digits,
+        "reason": metric.reason,
     }
 
 
@@ -87,15 +88,21 @@ def table(entries: Mapping[str, Entry]) -> str:
 
 
 def _row(name: str, entry: Entry) -> tuple[str, ...]:
-    metric = Metric(name, entry["unit"], entry["direction"], digits=entry["digits"])
+    metric = metric_of(name, entry)
     verdict = {True: "yes", False: "**no**", None: ""}[entry["reached"]]
     ratio = "" if entry["ratio"] is None else f"{entry['ratio']:.2f} {entry['change']}"
     memory = "" if entry["peak_memory_mb"] is None else f"{entry['peak_memory_mb']:.0f}"
     value = in_digits(entry["value"], metric)
-    return name, value, _figure(entry, metric), verdict, ratio, memory, entry["note"]
+    return name, value, figure_of(entry, metric), verdict, ratio, memory, entry["note"]
 
 
-def _figure(entry: Entry, metric: Metric) -> str:
+def metric_of(name: str, entry: Entry) -> Metric:
+    """What a value of `summary.json` is to be shown with."""
+    return Metric(name, entry["unit"], entry["direction"], digits=entry["digits"])
+
+
+def figure_of(entry: Entry, metric: Metric) -> str:
+    """What is to be reached, in words; empty where nothing is promised."""
     figure = entry["figure"]
     if figure is None:
         return ""
