@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         write_g2o,
         write_trajectory,
     )
-    from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
+    from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
     from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge, merge_differentiable
     from pcm_jax.selection import (
@@ -76,6 +76,7 @@ __all__ = [
     "merge",
     "merge_differentiable",
     "optimize",
+    "pad_graph",
     "read_graph",
     "read_trajectory",
     "select",
@@ -95,7 +96,7 @@ __all__ = [
 
 _NAMES_OF = {
     "errors": ("FileFormatError", "InputError", "InputWarning"),
-    "graph": ("LoopClosures", "MultiRobotGraph", "PoseGraph", "split"),
+    "graph": ("LoopClosures", "MultiRobotGraph", "PoseGraph", "pad_graph", "split"),
     "files": (
         "from_gtsam",
         "read_graph",

@@ -76,33 +76,47 @@ class Data(eqx.Module):
 
 
 def pattern_of(
-    tail: Int[Array, " e"], head: Int[Array, " e"], *, poses: int, size: int, block_dim: int
+    tail: Int[Array, " e"],
+    head: Int[Array, " e"],
+    *,
+    poses: Int[Array, ""],
+    edges: Int[Array, ""],
+    size: int,
+    block_dim: int,
 ) -> Pattern:
     """Pads a pattern and finds its system.
 
     Args:
-        tail, head: of the edges that count; may be traced.
+        tail, head: of all edges, those that count first; may be traced.
         poses: number of poses that count; the last is held.
+        edges: number of edges that count; the others join the first pose to itself.
         size: padded number of poses, and of edges.
         block_dim: d.
     """
     from jax.experimental.buffer_callback import buffer_callback
 
     name = buffer_callback(
-        functools.partial(_name_system, poses, block_dim),
+        functools.partial(_name_system, block_dim),
         jax.ShapeDtypeStruct((), jnp.int32),
         vmap_method="sequential",
     )
     missing = (0, size - len(tail))
-    free = jnp.arange(size) < poses - 1
-    return Pattern(jnp.pad(tail, missing), jnp.pad(head, missing), free, name(tail, head))
+    system = name(tail, head, poses, edges)
+    return Pattern(
+        jnp.pad(tail, missing), jnp.pad(head, missing), jnp.arange(size) < poses - 1, system
+    )
 
 
-def _name_system(poses: int, block_dim: int, context: Any, out: Any, tail: Any, head: Any) -> None:
+def _name_system(
+    block_dim: int, context: Any, out: Any, tail: Any, head: Any, poses: Any, edges: Any
+) -> None:
     """Body of the callback: the handle of the pattern's system."""
     del context
-    held = np.arange(poses) == poses - 1
-    system = system_for(poses, np.asarray(tail), np.asarray(head), held, block_dim)
+    count, size = int(np.asarray(edges)), int(np.asarray(poses))
+    held = np.arange(size) == size - 1
+    # Copies: the buffers live for the length of this call only.
+    own_tail, own_head = (np.asarray(end)[:count].copy() for end in (tail, head))
+    system = system_for(size, own_tail, own_head, held, block_dim)
     _named.append(system)
     np.asarray(out)[...] = system.handle
 

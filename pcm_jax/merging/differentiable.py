@@ -12,7 +12,9 @@ to move with that robot, so these edges end up without residual, whatever their 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import itertools
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
-from pcm_jax.graph import LoopClosures, MultiRobotGraph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import METHODS, padded_size
 
 MOST_COMPARED = 256
@@ -38,6 +40,10 @@ def merge_differentiable(
     closures, r = Log(z⁻¹ X_i⁻¹ X_j), starting from the maps' poses, aligned by the closures. So
     the maps should be near their optimum, as `optimize` leaves them, and the weights should favour
     closures that agree.
+
+    An edge or a closure whose information is all zero does not count, whatever else it says, and a
+    pose that no other touches is not part of the map: `pad_graph` fills worlds of different sizes
+    up with such, for `vmap`, and the rest is the same bit for bit.
 
     Safe under jit, vmap (problems are solved one after the other), grad, jvp, and their
     compositions, with the graph closed over or as an argument. Derivatives are those of the exact
@@ -93,42 +99,118 @@ def merge_differentiable(
 def _merged(solver: str, graph: MultiRobotGraph, weights: Float[Array, " m"]) -> tuple[Any, ...]:
     from pcm_jax.mapping.implicit import Data, optimum, pattern_of
 
-    maps, closures, d = graph.maps, graph.closures, graph.tangent_dim
+    counted = [_counted(edges) for edges in (*graph.maps, graph.closures)]
+    weights = jnp.where(counted[-1], weights, 0.0)
+    maps = tuple(map(_blanked, graph.maps, counted[:-1]))
+    graph = MultiRobotGraph(maps, _blanked(graph.closures, counted[-1]))
     first = np.cumsum([0, *(one.num_poses for one in maps)])
-    world = int(first[-1])
     placing = jax.lax.stop_gradient(_placing(graph, weights))
     tail, head = _ends(graph, first)
-    size = padded_size(world + 1, len(tail))
-    pattern = pattern_of(tail, head, poses=world + 1, size=size, block_dim=d)
+    order = _order(tail, head, jnp.concatenate([*counted, jnp.ones(len(maps), bool)]), first[-1])
+    size = padded_size(len(order.poses), len(order.edges))
+    pattern = pattern_of(
+        *(jnp.where(order.counted, order.place[end], 0)[order.edges] for end in (tail, head)),
+        poses=jnp.sum(order.touched, dtype=jnp.int32),
+        edges=jnp.sum(order.counted, dtype=jnp.int32),
+        size=size,
+        block_dim=graph.tangent_dim,
+    )
+    measurement, information, weight = _edges(graph, weights, placing, counted)
+    data = Data(
+        _padded(lie.take(measurement, order.edges), size),
+        _filled(information[order.edges], jnp.eye(graph.tangent_dim), size),
+        _filled(weight[order.edges], jnp.zeros(()), size),
+    )
+    start = _aligned(graph, placing)
+    touched = order.touched[order.poses, None]
+    known = jnp.where(touched, lie.parameters(lie.take(start, order.poses)), _unit(graph.group))
+    begin = jax.lax.stop_gradient(_padded(graph.group(known), size))
+    poses, converged = optimum(solver, pattern, begin, data)
+    found = lie.parameters(poses)[order.place]
+    values = jnp.where(order.touched[:, None], found, lie.parameters(start))
+    values = jnp.where(converged, values, jnp.nan)
+    return tuple(graph.group(values[low:high]) for low, high in itertools.pairwise(first))
+
+
+def _counted(edges: PoseGraph | LoopClosures) -> Bool[Array, " e"]:
+    return jnp.any(edges.information != 0.0, axis=(1, 2))
+
+
+def _blanked(edges: Any, counted: Bool[Array, " e"]) -> Any:
+    """The same map or closures, with harmless numbers in the edges that do not count."""
+    values = jnp.where(
+        counted[:, None], lie.parameters(edges.measurement), _unit(lie.group_of(edges.measurement))
+    )
+    unit = jnp.eye(edges.information.shape[-1])
+    information = jnp.where(counted[:, None, None], edges.information, unit)
+    measurement = lie.group_of(edges.measurement)(values)
+    return dataclasses.replace(edges, measurement=measurement, information=information)
+
+
+class _Order(NamedTuple):
+    """What counts comes first, in its order, so that padding in between changes nothing.
+
+    Attributes:
+        counted: `[e]`, the edges that count, in the order given.
+        touched: `[n]`, the poses that these join; the last one, the world's, is among them.
+        edges: `[e]`, the given edges in the new order.
+        poses: `[n]`, the given poses in the new order.
+        place: `[n]`, where each given pose is in it.
+    """
+
+    counted: Bool[Array, " e"]
+    touched: Bool[Array, " n"]
+    edges: Int[Array, " e"]
+    poses: Int[Array, " n"]
+    place: Int[Array, " n"]
+
+
+def _order(
+    tail: Int[Array, " e"], head: Int[Array, " e"], counted: Bool[Array, " e"], world: int
+) -> _Order:
+    touched = jnp.zeros(world + 1, bool)
+    for end in (tail, head):
+        touched = touched.at[jnp.where(counted, end, world)].set(True)
+    poses = jnp.argsort(~touched)
+    place = jnp.argsort(poses).astype(jnp.int32)
+    return _Order(counted, touched, jnp.argsort(~counted), poses, place)
+
+
+def _edges(
+    graph: MultiRobotGraph,
+    weights: Float[Array, " m"],
+    placing: _Placing,
+    counted: list[Bool[Array, " e"]],
+) -> tuple[Any, Float[Array, "e d d"], Float[Array, " e"]]:
+    """Measurement, information and weight of all edges: the maps', the closures', the gauge's."""
+    maps, closures = graph.maps, graph.closures
+    informations = [one.information for one in (*maps, closures)]
     together = placing.group[closures.robot_a] == placing.group[closures.robot_b]
     # The gauge's edges weigh as much as the strongest measurement: any weight gives one optimum.
-    stiffness = jax.lax.stop_gradient(jnp.max(jnp.concatenate([_strengths(graph), jnp.ones(1)])))
+    diagonals = [jnp.diagonal(each, axis1=1, axis2=2).ravel() for each in informations]
+    stiffness = jax.lax.stop_gradient(jnp.max(jnp.concatenate([*diagonals, jnp.ones(1)])))
     leads = placing.group == jnp.arange(len(maps))
-    data = Data(
-        _padded([*(one.measurement for one in maps), closures.measurement, _firsts(graph)], size),
-        _stacked(
-            [*(one.information for one in maps), closures.information],
-            jnp.eye(d, dtype=weights.dtype),
-            size,
-        ),
-        _stacked(
-            [
-                *(jnp.ones(one.num_edges, weights.dtype) for one in maps),
-                jnp.where(together | ~(weights >= 0.0), weights, 0.0),  # NaN is not passed over
-                jnp.where(leads, stiffness, 0.0),
-            ],
-            jnp.zeros((), weights.dtype),
-            size,
-        ),
-    )
-    aligned = [
-        lie.compose(lie.take(placing.anchors, np.full(one.num_poses, robot)), one.poses)
-        for robot, one in enumerate(maps)
+    firsts = lie.stack([lie.take(one.poses, 0) for one in maps])
+    unit = jnp.broadcast_to(jnp.eye(graph.tangent_dim), (len(maps), *informations[0].shape[1:]))
+    weight = [
+        *(jnp.where(rows, 1.0, 0.0) for rows in counted[:-1]),
+        jnp.where(together | ~(weights >= 0.0), weights, 0.0),  # NaN is not passed over
+        jnp.where(leads, stiffness, 0.0),
     ]
-    start = jax.lax.stop_gradient(_padded(aligned, size))
-    poses, converged = optimum(solver, pattern, start, data)
-    values = jnp.where(converged, lie.parameters(poses), jnp.nan)
-    return tuple(graph.group(values[first[robot] : first[robot + 1]]) for robot in range(len(maps)))
+    return (
+        lie.concatenate([*(one.measurement for one in maps), closures.measurement, firsts]),
+        jnp.concatenate([*informations, unit]),
+        jnp.concatenate(weight).astype(weights.dtype),
+    )
+
+
+def _aligned(graph: MultiRobotGraph, placing: _Placing) -> Any:
+    """All poses in their group's frame, and the world's."""
+    moved = [
+        lie.compose(lie.take(placing.anchors, np.full(one.num_poses, robot)), one.poses)
+        for robot, one in enumerate(graph.maps)
+    ]
+    return lie.concatenate([*moved, graph.group(_unit(graph.group)[None])])
 
 
 def _ends(graph: MultiRobotGraph, first: np.ndarray) -> tuple[Array, Array]:
@@ -143,28 +225,21 @@ def _ends(graph: MultiRobotGraph, first: np.ndarray) -> tuple[Array, Array]:
     return jnp.concatenate([*tails, ends_a, world]), jnp.concatenate([*heads, ends_b, starts])
 
 
-def _firsts(graph: MultiRobotGraph) -> Any:
-    return lie.stack([lie.take(one.poses, 0) for one in graph.maps])
+def _unit(group: Any) -> Float[np.ndarray, " p"]:
+    """Parameters of the identity."""
+    return np.asarray(lie.parameters(lie.identity(group)))
 
 
-def _strengths(graph: MultiRobotGraph) -> Float[Array, " k"]:
-    everything = [one.information for one in (*graph.maps, graph.closures)]
-    return jnp.concatenate([jnp.diagonal(each, axis1=1, axis2=2).ravel() for each in everything])
+def _padded(batch: Any, size: int) -> Any:
+    """A batch of `size`, identities at the end."""
+    group = lie.group_of(batch)
+    return group(_filled(lie.parameters(batch), _unit(group), size))
 
 
-def _padded(batches: list[Any], size: int) -> Any:
-    """One batch of `size`, identities at the end."""
-    joined = lie.concatenate(batches)
-    values = lie.parameters(joined)
-    missing = lie.identity(lie.group_of(joined), (size - len(values),), xp=jnp)
-    filler = lie.parameters(missing).astype(values.dtype)
-    return lie.group_of(joined)(jnp.concatenate([values, filler]))
-
-
-def _stacked(batches: list[Array], filler: Array, size: int) -> Array:
-    """One batch of `size`, `filler` at the end."""
-    missing = size - sum(len(batch) for batch in batches)
-    return jnp.concatenate([*batches, jnp.broadcast_to(filler, (missing, *filler.shape))])
+def _filled(values: Array, filler: Any, size: int) -> Array:
+    """An array of `size` rows, `filler` at the end."""
+    missing = (size - len(values), *values.shape[1:])
+    return jnp.concatenate([values, jnp.broadcast_to(filler, missing).astype(values.dtype)])
 
 
 class _Placing(NamedTuple):

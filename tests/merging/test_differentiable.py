@@ -12,7 +12,7 @@ import pytest
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
-from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, split
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import merge, merge_differentiable
 
@@ -246,25 +246,40 @@ def test_one_bad_sample_in_a_batch(three):
     np.testing.assert_allclose(found[0], alone, rtol=0, atol=1e-12)
 
 
-def test_structure_may_be_traced_and_differ_within_a_batch():
-    worlds = [small_world(jaxlie.SE2, seed, robots=3, rows=ROWS) for seed in (5, 6)]
-    weights = jnp.asarray([1.0, 0.5, 0.0, 0.8, 0.3])
-    assert (np.asarray(worlds[0].closures.pose_a) != np.asarray(worlds[1].closures.pose_a)).any()
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *worlds)
-    merged = jax.vmap(lambda g: merge_differentiable(g, weights))(stacked)
-    for row, world in enumerate(worlds):
-        for found, own in zip(merged, merge_differentiable(world, weights), strict=True):
-            np.testing.assert_allclose(lie.parameters(found)[row], lie.parameters(own), atol=1e-11)
+def test_structure_may_differ_within_a_batch(three):
+    """Other ends, and another size: each gives what it gives alone."""
+    other = small_world(jaxlie.SE2, 7, robots=3, poses=9, rows=ROWS[1:])
+    sizes = {"poses": 9, "edges": 11, "closures": 5}
+    padded = [pad_graph(world, **sizes) for world in (three, other)]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
+    merged = jax.vmap(lambda g: merge_differentiable(g, jnp.ones(5)))(stacked)
+    for row, world in enumerate((three, other)):
+        for found, own in zip(merged, merge_differentiable(world, np.ones(5 - row)), strict=True):
+            values, kept = lie.parameters(own), world.maps[0].num_poses
+            np.testing.assert_allclose(lie.parameters(found)[row, :kept], values, atol=1e-11)
 
 
-def test_padded_closures_change_nothing(three):
-    """Repeated ones at weight zero, bit for bit."""
+def test_padding_changes_nothing(three):
+    """Poses, edges and closures added to every map, bit for bit, derivatives included."""
     weights = np.array([1.0, 0.5, 0.0, 0.8, 0.3])
-    longer = MultiRobotGraph(three.maps, three.closures[np.array([0, 1, 2, 3, 4, 4, 4])])
-    expected = parameters_of(merge_differentiable(three, weights))
-    found = parameters_of(merge_differentiable(longer, np.append(weights, [0.0, 0.0])))
-    for one, other in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(one, other)
+    longer = pad_graph(three, poses=13, edges=17, closures=7)
+    measurement = np.array(lie.parameters(longer.closures.measurement))
+    measurement[5:] = np.nan
+    odd = dataclasses.replace(longer.closures, measurement=jaxlie.SE2(jnp.asarray(measurement)))
+    longer = MultiRobotGraph(longer.maps, odd)
+
+    def loss(graph, weights):
+        merged = merge_differentiable(graph, weights)
+        values = [lie.parameters(poses)[: three.maps[0].num_poses] for poses in merged]
+        return sum(jnp.sum(jnp.sin(v)) for v in values), values
+
+    run = jax.jit(jax.value_and_grad(loss, argnums=1, has_aux=True))
+    (_, expected), wanted = run(three, weights)
+    (_, found), gradient = run(longer, np.append(weights, [0.7, np.nan]))
+    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(gradient[:5], wanted)
+    np.testing.assert_array_equal(gradient[5:], 0.0)
+    assert np.abs(wanted).max() > 1e-3
 
 
 def test_second_derivatives(three, run_three):
