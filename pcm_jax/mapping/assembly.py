@@ -7,12 +7,14 @@ summed lie in one pool, cut into chunks of `d` scalars (a row of a `d x d` block
     [ identity block | blocks of H | update matrices U of each group ]
 
 The stacked fronts of a group are then one sparse 0/1 matrix times the pool. Only blocks on and
-below the diagonal are summed, which is all that a Cholesky factorisation reads.
+below the diagonal are summed, which is all that a Cholesky factorisation reads. An update matrix is
+needed until the parents of its group are summed; its place then serves other groups.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +25,8 @@ from pcm_jax.mapping.symbolic import FrontTree, front_tree, ragged_arange
 
 PADDED_PIVOTS = np.array([1, 2, 3, 4, 6, 8, 12, 16])
 PADDED_RESTS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24])
+SCALARS_AT_ONCE = 1 << 18
+"""Of the fronts of a group together, unless one is larger: what a processor's cache holds."""
 
 
 class FrontGroup(NamedTuple):
@@ -122,7 +126,7 @@ class _Shapes(NamedTuple):
     slot: np.ndarray  # [s] index within the group
     members: list[np.ndarray]  # fronts of each group
     update: np.ndarray  # [s] first block of the front's update matrix, counted from the first one
-    update_blocks: int
+    update_blocks: int  # that the update matrices take at most at one time
 
 
 def _padded(length: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -130,18 +134,49 @@ def _padded(length: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return np.where(found < len(sizes), sizes[np.minimum(found, len(sizes) - 1)], length)
 
 
-def _group(tree: FrontTree) -> _Shapes:
+def _group(tree: FrontTree, d: int) -> _Shapes:
     pivots, rests = _padded(tree.pivots, PADDED_PIVOTS), _padded(tree.rests, PADDED_RESTS)
-    _, group = np.unique(np.stack([tree.height, pivots, rests]), axis=1, return_inverse=True)
-    by_group = np.argsort(group, kind="stable")
-    count = np.bincount(group)
-    slot = np.empty(len(group), np.int64)
-    slot[by_group] = ragged_arange(np.zeros_like(count), count)
-    blocks = (rests * rests)[by_group]
-    update = np.empty(len(group), np.int64)
-    update[by_group] = np.cumsum(blocks) - blocks
-    members = np.split(by_group, np.cumsum(count)[:-1])
-    return _Shapes(pivots, rests, group, slot, members, update, int(blocks.sum()))
+    _, alike, count = _labelled(tree.height, pivots, rests)
+    slot = np.empty(len(alike), np.int64)
+    slot[np.argsort(alike, kind="stable")] = ragged_arange(np.zeros_like(count), count)
+    at_once = np.maximum(SCALARS_AT_ONCE // ((pivots + rests) * d) ** 2, 1)
+    _, group, count = _labelled(alike, slot // at_once)
+    slot %= at_once
+    members = np.split(np.argsort(group, kind="stable"), np.cumsum(count)[:-1])
+    blocks = rests**2
+    size = np.bincount(group, blocks).astype(np.int64)
+    needed_by = np.zeros(len(size), np.int64)
+    np.maximum.at(needed_by, group, np.where(tree.parent >= 0, group[tree.parent], 0))
+    start = _places(size, needed_by)
+    update = start[group] + slot * blocks
+    return _Shapes(pivots, rests, group, slot, members, update, int((start + size).max()))
+
+
+def _labelled(*keys: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distinct rows of the keys, which of them each row is, and how often they occur."""
+    return np.unique(np.stack(keys), axis=1, return_inverse=True, return_counts=True)
+
+
+def _places(size: np.ndarray, needed_by: np.ndarray) -> np.ndarray:
+    """Where groups keep their update matrices: each in the first gap that is large enough.
+
+    Args:
+        size: `[g]` of each group.
+        needed_by: `[g]` the last group that reads them, before its own are written.
+    """
+    start = np.zeros_like(size)
+    taken: list[tuple[int, int, int]] = []  # start, end, needed by; ascending
+    for group, (length, last) in enumerate(zip(size.tolist(), needed_by.tolist(), strict=True)):
+        taken = [place for place in taken if place[2] > group]
+        free = 0
+        for begin, end, _ in taken:
+            if begin - free >= length:
+                break
+            free = end
+        start[group] = free
+        if length:
+            taken = sorted([*taken, (free, free + length, last)])
+    return start
 
 
 class _Terms(NamedTuple):
@@ -155,7 +190,7 @@ class _Terms(NamedTuple):
 
 
 def _make_plan(tree: FrontTree, tail: np.ndarray, head: np.ndarray, d: int) -> CholeskyPlan:
-    size, shapes = tree.size, _group(tree)
+    size, shapes = tree.size, _group(tree, d)
     low = np.minimum(tree.position[tail], tree.position[head])
     high = np.maximum(tree.position[tail], tree.position[head])
     pairs, edge_pair = np.unique(np.where(low == high, -1, low * size + high), return_inverse=True)
@@ -292,4 +327,14 @@ def _gather(shapes: _Shapes, terms: _Terms, count: int, width: int, chunks: int,
     index = index + scalar * in_row[block_row][:, None]
     source = np.empty(len(block_row) * d, np.int32)
     source[index] = terms.source[:, None] + scalar * terms.stride[:, None]
-    return csr_array((np.ones(len(source)), source, start), shape=(rows * d * width, chunks))
+    return csr_array((_ones(len(source)), source, start), shape=(rows * d * width, chunks))
+
+
+def _ones(count: int) -> np.ndarray:
+    """Ones, in memory that the gathers of all plans share."""
+    return _ones_of(count.bit_length())[:count]
+
+
+@functools.cache
+def _ones_of(bits: int) -> np.ndarray:
+    return np.ones(1 << bits)

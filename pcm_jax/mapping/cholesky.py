@@ -23,6 +23,10 @@ from pcm_jax.mapping.assembly import CholeskyPlan, FrontGroup
 
 LARGE_PIVOTS = 96
 """Scalars: fronts with more pivots are factorised one by one with LAPACK's triangular routines."""
+LARGE_REST = 64
+"""Scalars: update matrices of this size are formed one by one, and half of each."""
+SMALL_TRIANGLE = 24
+"""Scalars: LAPACK's inverse of a general matrix is as fast for triangles up to this size."""
 LARGE_FRONT = 2048
 """Scalars: fronts of this size gain from BLAS threads even where other work holds some cores."""
 
@@ -139,12 +143,44 @@ def _factorize_group(
     if pivots > LARGE_PIVOTS or pivots + rest > LARGE_FRONT:
         with limited_to(threads if pivots + rest > LARGE_FRONT else 1):
             return _factorize_large(fronts, updates, pivots)
-    inverse = np.linalg.inv(np.linalg.cholesky(fronts[:, :pivots, :pivots]))
+    inverse = inverse_triangles(np.linalg.cholesky(fronts[:, :pivots, :pivots]))
     coupling = fronts[:, pivots:, :pivots] @ inverse.transpose(0, 2, 1)
-    if rest:
-        np.matmul(coupling, coupling.transpose(0, 2, 1), out=updates)
-        np.subtract(fronts[:, pivots:, pivots:], updates, out=updates)
+    _update(fronts[:, pivots:, pivots:], coupling, updates)
     return inverse, coupling
+
+
+def inverse_triangles(lower: Triangles) -> Triangles:
+    """L⁻¹ of lower triangles, by halves while these are equal and large enough to be worth it.
+
+    [ A     ]⁻¹   [  A⁻¹              ]
+    [ B  C  ]   = [ −C⁻¹ B A⁻¹   C⁻¹ ]
+    """
+    size = lower.shape[-1]
+    half = size // 2
+    if size % 2 or size <= SMALL_TRIANGLE:
+        return np.linalg.inv(lower)
+    first, second = slice(0, half), slice(half, size)
+    inverse = np.zeros_like(lower)
+    halves = np.stack([lower[:, first, first], lower[:, second, second]])
+    top, bottom = inverse_triangles(halves.reshape(-1, half, half)).reshape(halves.shape)
+    inverse[:, first, first], inverse[:, second, second] = top, bottom
+    np.matmul(-bottom, lower[:, second, first] @ top, out=inverse[:, second, first])
+    return inverse
+
+
+def _update(blocks: np.ndarray, coupling: np.ndarray, updates: np.ndarray) -> None:
+    """U = C − X Xᵀ, of large matrices only the lower triangle, which is all that is read."""
+    rest = updates.shape[-1]
+    if rest < LARGE_REST:
+        np.matmul(coupling, coupling.transpose(0, 2, 1), out=updates)
+        np.subtract(blocks, updates, out=updates)
+        return
+    from scipy.linalg import get_blas_funcs
+
+    (syrk,) = get_blas_funcs(("syrk",), (coupling,))
+    updates[...] = blocks
+    for update, factor in zip(updates, coupling, strict=True):
+        syrk(-1.0, factor.T, beta=1.0, c=update.T, trans=1, overwrite_c=1)
 
 
 def _factorize_large(
@@ -164,5 +200,5 @@ def _factorize_large(
             raise np.linalg.LinAlgError("a pivot block is not positive definite")
         inverse[k] = trtri(upper, lower=0)[0].T
         np.matmul(front[pivots:, :pivots], inverse[k].T, out=coupling[k])
-        np.subtract(front[pivots:, pivots:], coupling[k] @ coupling[k].T, out=updates[k])
+    _update(fronts[:, pivots:, pivots:], coupling, updates)
     return inverse, coupling

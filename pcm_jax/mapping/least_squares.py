@@ -36,6 +36,14 @@ def padded_size(poses: int, edges: int) -> int:
     return bucket(max(poses, edges), smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
+def padded_poses(poses: int, edges: int) -> int:
+    """How many poses the solver sees: as many as edges, or in large graphs fewer.
+
+    CHOLMOD factorises the rows of padded poses too, and they would be half of City10000's.
+    """
+    return min(padded_size(poses, edges), padded_size(poses, FINE_ABOVE))
+
+
 class Solved(NamedTuple):
     """What `PoseProblem.solve` returns, on the host.
 
@@ -90,10 +98,11 @@ class PoseProblem:
 
         tail, head, held = np.asarray(tail), np.asarray(head), np.asarray(fixed)
         self._poses, self._edges = len(held), len(tail)
-        self._size = padded_size(self._poses, self._edges)
+        size = padded_size(self._poses, self._edges)
+        self._size = padded_poses(self._poses, self._edges)
         self._system = system_for(self._poses, tail, head, held, information.shape[-1])
         self._free = np.pad(~held, (0, self._size - self._poses))
-        self._padded = padded_edges(tail, head, measurement, information, size=self._size)
+        self._padded = padded_edges(tail, head, measurement, information, size=size)
 
     @in_float64
     def solve(

@@ -63,14 +63,21 @@ class System:
         return plan_for(*self._pattern)
 
     @functools.cached_property
-    def _sum_blocks(self) -> Any:
-        """0/1 matrix from the edges' (tail, head, off-diagonal) products to the blocks of `H`."""
-        plan, count = self.plan, self.edges
-        edge = [np.flatnonzero(self.free_tail), np.flatnonzero(self.free_head), self.both]
-        ends = plan.position[self.tail[edge[0]]], plan.position[self.head[edge[1]]]
-        block = np.concatenate([*ends, plan.edge_block])
-        source = np.concatenate([part + k * count for k, part in enumerate(edge)])
-        return _ones(block, source, (len(plan.block_row), 3 * count))
+    def _sum_blocks(self) -> tuple[Any, Any, Any, Any]:
+        """0/1 matrices from the edges' products to the blocks of `H`.
+
+        For those of tails, of heads, and of both; and for the last that are to be transposed.
+        """
+        plan, both = self.plan, self.both
+        tails, heads = np.flatnonzero(self.free_tail), np.flatnonzero(self.free_head)
+        as_given, flipped = ~plan.edge_transposed, plan.edge_transposed
+        blocks, edges = len(plan.block_row), self.edges
+        return (
+            _ones(plan.position[self.tail[tails]], tails, (blocks, edges)),
+            _ones(plan.position[self.head[heads]], heads, (blocks, edges)),
+            _ones(plan.edge_block[as_given], both[as_given], (blocks, edges)),
+            _ones(plan.edge_block[flipped], np.arange(flipped.sum()), (blocks, flipped.sum())),
+        )
 
     @functools.cached_property
     def _sum_gradient(self) -> Any:
@@ -94,10 +101,11 @@ class System:
         """
         plan = self.plan
         d = plan.block_dim
-        terms = np.array(products[:, : self.edges])
-        flipped = self.both[plan.edge_transposed]
-        terms[2, flipped] = terms[2, flipped].transpose(0, 2, 1)
-        blocks = (self._sum_blocks @ terms.reshape(-1, d * d)).reshape(-1, d, d)
+        flipped = products[2, self.both[plan.edge_transposed]].transpose(0, 2, 1)
+        parts = *products[:, : self.edges], flipped
+        blocks = np.zeros((len(plan.block_row), d, d))
+        for sums, part in zip(self._sum_blocks, parts, strict=True):
+            blocks += (sums @ part.reshape(len(part), d * d)).reshape(blocks.shape)
         scalar = np.arange(d)
         blocks[: self.size, scalar, scalar] *= 1.0 + damping
         blocks[plan.position[self.fixed]] = np.eye(d)

@@ -1,10 +1,19 @@
 """The block Cholesky factorisation against dense linear algebra, on patterns of every kind."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-from pcm_jax.mapping.assembly import plan_for
-from pcm_jax.mapping.cholesky import NotPositiveDefiniteError, blas_threads, factorize, limited_to
+from pcm_jax.mapping import assembly
+from pcm_jax.mapping.assembly import _places, plan_for
+from pcm_jax.mapping.cholesky import (
+    NotPositiveDefiniteError,
+    blas_threads,
+    factorize,
+    inverse_triangles,
+    limited_to,
+)
 from pcm_jax.mapping.inverse_block import inverse_block, inverse_columns, inverse_diagonal
 from pcm_jax.mapping.symbolic import front_tree
 
@@ -128,6 +137,39 @@ def test_large_fronts_take_the_same_path_as_small_ones(monkeypatch):
     right = RNG.normal(size=360)
     monkeypatch.setattr("pcm_jax.mapping.cholesky.LARGE_PIVOTS", 0)
     np.testing.assert_allclose(dense @ factorize(plan, blocks).solve(right), right, atol=1e-10)
+
+
+@pytest.mark.parametrize("size", [1, 9, 24, 36, 72, 96, 50])
+def test_inverse_of_triangles(size):
+    lower = np.tril(RNG.normal(size=(3, size, size))) + 5 * np.eye(size)
+    inverse = inverse_triangles(lower)
+    expected = np.broadcast_to(np.eye(size), lower.shape)
+    np.testing.assert_allclose(inverse @ lower, expected, atol=1e-12)
+    np.testing.assert_allclose(np.triu(inverse, 1), 0.0, atol=1e-12)
+
+
+def test_places_overlap_only_where_the_earlier_one_is_done_with():
+    size = RNG.integers(0, 9, 60)
+    needed_by = np.arange(60) + RNG.integers(1, 20, 60)
+    start = _places(size, needed_by)
+    for early, late in itertools.combinations(range(60), 2):
+        apart = (
+            start[early] + size[early] <= start[late] or start[late] + size[late] <= start[early]
+        )
+        assert apart or needed_by[early] <= late
+    assert (start + size).max() < size.sum() / 2
+
+
+def test_groups_share_memory_and_stay_small(monkeypatch):
+    size, (tail, head) = PATTERNS["grid"]
+    whole = plan_for(size, tail, head, 3)
+    monkeypatch.setattr(assembly, "SCALARS_AT_ONCE", 1000)
+    small = plan_for(size, head, tail, 3)
+    fronts = [group.count * (group.pivots + group.rest) ** 2 for group in small.groups]
+    assert max(front for front, g in zip(fronts, small.groups, strict=True) if g.count > 1) <= 1000
+    assert len(small.groups) > len(whole.groups)
+    own = sum(group.count * group.rest**2 for group in small.groups)
+    assert small.chunks * 3 - (1 + len(small.block_row)) * 9 < own / 2
 
 
 def test_an_indefinite_matrix_is_reported():
