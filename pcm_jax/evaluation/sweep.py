@@ -31,12 +31,17 @@ from pcm_jax.precision import in_float64
 from pcm_jax.selection import select_batched
 from pcm_jax.selection.batched import KERNELS
 from pcm_jax.simulation import simulate_chains
+from pcm_jax.simulation.world import require_positive
 
 METHODS = ("pcm-heuristic", "ransac", "scgp")
 # Of a block: entries of its worlds' Q at most, and worlds at most.
 _ENTRIES, _WORLDS = 1 << 18, 64
 _MOST_WORLDS = 1 << 32  # what a key can be folded with
 _FORMAT = 1  # of the files
+_NUMBERS = frozenset(
+    {"sigma_translation", "sigma_rotation", "reach"}
+    | {"closure_sigma_translation", "closure_sigma_rotation"}
+)
 
 Progress = Callable[[int, int], None]
 
@@ -98,10 +103,11 @@ def sweep(
 
         done = np.asarray(broadcast_one_to_all(done))
     share = _share(grid, min(batch, worlds), mesh)
-    program = _program(grid, share, mesh)
+    program = _program(grid.shape, share, mesh)
     finished = int(done.sum())
     for start, stop in _missing(done, share * (1 if mesh is None else mesh.size)):
-        outcomes = jax.tree.map(np.asarray, program(np.int64(start), np.int64(seed)))
+        found = program(np.int64(start), np.int64(seed), grid.numbers)
+        outcomes = jax.tree.map(np.asarray, found)
         if files:
             files.write(start, stop, _columns(grid, seed, start, stop, outcomes))
         finished += stop - start
@@ -134,17 +140,15 @@ class Outcomes(NamedTuple):
     precision: Float[Array, "w methods confidences"]
 
 
-class Grid(NamedTuple):
-    """What is run on every world, and the worlds' law: hashable, all of it static.
+class Shape(NamedTuple):
+    """What a program is compiled for.
 
     Attributes:
         methods: names.
-        confidences: inside the gates.
-        law: every keyword argument of `simulate_chains`, by name.
+        law: arguments of `simulate_chains` that are no floating-point numbers, by name.
     """
 
     methods: tuple[str, ...]
-    confidences: tuple[float, ...]
     law: tuple[tuple[str, Any], ...]
 
     @property
@@ -153,27 +157,49 @@ class Grid(NamedTuple):
         law = dict(self.law)
         return law["inliers"] + law["aliased_groups"] * law["aliased_size"] + law["random"]
 
+
+class Numbers(NamedTuple):
+    """What a program is run with.
+
+    Attributes:
+        gates: float64 `[confidences]`, γ².
+        law: the other arguments of `simulate_chains`, by name.
+    """
+
+    gates: Float[np.ndarray, " confidences"]
+    law: dict[str, np.float64]
+
+
+class Grid(NamedTuple):
+    """What is run on every world, and the worlds' law."""
+
+    confidences: tuple[float, ...]
+    shape: Shape
+    numbers: Numbers
+
     def about(self, seed: int) -> dict[str, Any]:
-        """What rows depend on."""
-        law = {name: getattr(value, "__name__", value) for name, value in self.law}
-        grid = {"methods": self.methods, "confidences": self.confidences}
-        return {"format": _FORMAT, "seed": seed, **grid, **law}
+        """What rows depend on, as JSON has it."""
+        numbers = {name: float(value) for name, value in self.numbers.law.items()}
+        law = {name: getattr(value, "__name__", value) for name, value in self.shape.law}
+        methods, confidences = list(self.shape.methods), list(self.confidences)
+        grid = {"methods": methods, "confidences": confidences}
+        return {"format": _FORMAT, "seed": seed, **grid, **law, **numbers}
 
 
-def outcomes_of(worlds: Int[Array, " w"], seed: Any, grid: Grid) -> Outcomes:
+def outcomes_of(worlds: Int[Array, " w"], seed: Any, numbers: Numbers, shape: Shape) -> Outcomes:
     """The kernel: draws worlds by their numbers, and lets every method choose; safe under jit."""
     root = jax.random.key(seed, impl="threefry2x32")
     key = jax.vmap(functools.partial(jax.random.fold_in, root))(worlds)
-    drawn = jax.vmap(functools.partial(simulate_chains, **dict(grid.law)))(key)
+    law = {**dict(shape.law), **numbers.law}
+    drawn = jax.vmap(functools.partial(simulate_chains, **law))(key)
     squared = jax.vmap(squared_mahalanobis)(drawn.problem)
     inliers = drawn.inliers
-    gates = jnp.asarray(_gates(grid))
 
     def kept(method: str) -> Bool[Array, "confidences w m"]:
-        return jax.vmap(lambda gate: select_batched(squared, gate, method=method))(gates)
+        return jax.vmap(lambda gate: select_batched(squared, gate, method=method))(numbers.gates)
 
     # [methods, confidences, w, m]; what does not depend on the gate is computed once.
-    accepted = jnp.stack([kept(method) for method in grid.methods])
+    accepted = jnp.stack([kept(method) for method in shape.methods])
     rates = true_positive_rate, false_positive_rate, precision
     each = (
         accepted.sum(axis=-1, dtype=jnp.int32),
@@ -189,33 +215,36 @@ def outcomes_of(worlds: Int[Array, " w"], seed: Any, grid: Grid) -> Outcomes:
 
 
 @functools.lru_cache(maxsize=8)
-def _program(grid: Grid, share: int, mesh: Mesh | None) -> Callable[[Any, Any], Outcomes]:
+def _program(
+    shape: Shape, share: int, mesh: Mesh | None
+) -> Callable[[Any, Any, Numbers], Outcomes]:
     """The outcomes of `share` consecutive worlds for each device, from a first one on; compiled."""
 
-    def of_one_device(first: Any, seed: Any, device: Any) -> Outcomes:
-        worlds = (first + device * share + jnp.arange(share)).reshape(-1, _block(grid))
-        found = jax.lax.map(lambda block: outcomes_of(block, seed, grid), worlds)
+    def of_one(first: Any, seed: Any, numbers: Numbers, device: Any = 0) -> Outcomes:
+        worlds = (first + device * share + jnp.arange(share)).reshape(-1, _block(shape))
+        found = jax.lax.map(lambda block: outcomes_of(block, seed, numbers, shape), worlds)
         return jax.tree.map(lambda leaf: leaf.reshape(share, *leaf.shape[2:]), found)
 
     if mesh is None:
-        return jax.jit(functools.partial(of_one_device, device=0))
+        return jax.jit(of_one)
 
-    def of_each(first: Any, seed: Any) -> Outcomes:
-        return of_one_device(first, seed, jax.lax.axis_index(mesh.axis_names))
+    def of_each(first: Any, seed: Any, numbers: Numbers) -> Outcomes:
+        return of_one(first, seed, numbers, jax.lax.axis_index(mesh.axis_names))
 
     whole, in_order = PartitionSpec(), PartitionSpec(mesh.axis_names)
+    # Not checked: loops start from constants, which all devices share, and go on with their own.
     shared = jax.shard_map(of_each, mesh=mesh, in_specs=whole, out_specs=in_order, check_vma=False)
     return jax.jit(shared, out_shardings=NamedSharding(mesh, whole))
 
 
-def _block(grid: Grid) -> int:
+def _block(shape: Shape) -> int:
     """Worlds that a device works on together: the same for every call."""
-    return max(1, min(_WORLDS, _ENTRIES // grid.closures**2))
+    return max(1, min(_WORLDS, _ENTRIES // shape.closures**2))
 
 
 def _share(grid: Grid, batch: int, mesh: Mesh | None) -> int:
     """Worlds of each device in a batch: whole blocks."""
-    block = _block(grid)
+    block = _block(grid.shape)
     return -(-batch // (block * (1 if mesh is None else mesh.size))) * block
 
 
@@ -232,7 +261,7 @@ def _columns(
 ) -> dict[str, np.ndarray]:
     """Rows by world, then method, then confidence."""
     count = stop - start
-    shape = (count, len(grid.methods), len(grid.confidences))
+    shape = (count, len(grid.shape.methods), len(grid.confidences))
 
     def repeated(values: Any, axis: int) -> np.ndarray:
         aligned = np.expand_dims(values, tuple(k for k in range(3) if k != axis))
@@ -244,7 +273,7 @@ def _columns(
     return {
         "seed": np.full(count * shape[1] * shape[2], seed),
         "world": repeated(np.arange(start, stop), 0),
-        "method": repeated(np.array(grid.methods), 1),
+        "method": repeated(np.array(grid.shape.methods), 1),
         "confidence": repeated(np.array(grid.confidences), 2),
         **{name: repeated(values, 0) for name, values in of_worlds.items()},
         **{name: values[:count].ravel() for name, values in found.items()},
@@ -252,24 +281,23 @@ def _columns(
     }
 
 
-def _gates(grid: Grid) -> Any:
-    return chi2_gate(np.array(grid.confidences), lie.tangent_dim(dict(grid.law)["group"]))
-
-
 def _grid(methods: Sequence[str], confidences: Sequence[float], world: dict[str, Any]) -> Grid:
     for method in methods:
         if method not in KERNELS:
             raise InputError(f"methods: {method!r}, expected some of {', '.join(KERNELS)}")
+    if not len(methods) or not len(confidences):
+        raise InputError("methods, confidences: expected one of each at least")
     parameters = inspect.signature(simulate_chains).parameters.values()
     law = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
     for name in world:
         if name not in law:
-            raise InputError(f"{name}: not an argument of a sweep, nor of {', '.join(law)}")
-    grid = Grid(tuple(methods), tuple(map(float, confidences)), tuple({**law, **world}.items()))
-    if not grid.methods or not grid.confidences:
-        raise InputError("methods, confidences: expected one of each at least")
-    _gates(grid)
-    return grid
+            raise InputError(f"{name}: not an argument of a sweep, nor one of {', '.join(law)}")
+    numbers = {name: np.float64({**law, **world}[name]) for name in law if name in _NUMBERS}
+    require_positive(**numbers)
+    fixed = {name: value for name, value in {**law, **world}.items() if name not in numbers}
+    gates = np.asarray(chi2_gate(np.array(confidences), lie.tangent_dim(fixed["group"])))
+    shape = Shape(tuple(methods), tuple(fixed.items()))
+    return Grid(tuple(map(float, confidences)), shape, Numbers(gates, numbers))
 
 
 def _check_numbers(worlds: int, batch: int, seed: int) -> None:
