@@ -136,11 +136,12 @@ def fit(
     steps: int,
     batch: int = 16,
     rate: float = 5e-3,
+    start: Judge | None = None,
 ) -> tuple[Judge, Float[np.ndarray, " steps"]]:
     """A judge trained by Adam on batches of the worlds, and the loss at every step."""
     import optax
 
-    judge = Judge(jax.random.key(seed))
+    judge = Judge(jax.random.key(seed)) if start is None else start
     optimizer = optax.chain(
         optax.clip_by_global_norm(1.0), optax.adam(optax.cosine_decay_schedule(rate, steps))
     )
