@@ -19,6 +19,7 @@ SUBJECTS = (
     "sweeps",
     "distances",
     "streaming",
+    "world_sweeps",
     "calibration",
     "cliques",
     "files",

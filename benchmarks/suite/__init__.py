@@ -10,5 +10,5 @@ gtsam_peer   the same graphs, solves and marginals by GTSAM
 clique_peers, clique_graphs   maximum cliques by other packages, and the graphs for it
 
 One module per subject, each with a list `CASES`: optimization, marginals, distances, streaming,
-cliques, calibration, files, end_to_end.
+world_sweeps, sweeps, cliques, calibration, files, end_to_end.
 """
