@@ -1,5 +1,7 @@
 """The table of promised figures in the top README."""
 
+from fnmatch import fnmatchcase
+
 import pytest
 
 from benchmarks.__main__ import all_cases
@@ -20,15 +22,18 @@ def entry(value, figure, reached, reason=""):
 
 @pytest.fixture
 def entries():
-    found = dict.fromkeys(headlines.ROWS.values(), entry(1.5, 2.0, True))
+    names = [f"{case.name}/{metric.name}" for case in all_cases() for metric in case.metrics]
+    found = dict.fromkeys(names, entry(1.5, 2.0, True))
     found["cliques/hard/over_mcqd"] = entry(2.5, 2.0, False, "each node costs a call")
     found["streaming/SE3-20000/seconds"] = entry(900.0, None, None)
+    found["memory/intel/blocks_process"] = entry(3.0, 2.0, False)
+    found["memory/intel/cholmod_process"] = entry(None, 2.0, None)
     return found
 
 
-def test_every_row_is_measured_by_some_case():
-    known = {f"{case.name}/{metric.name}" for case in all_cases() for metric in case.metrics}
-    assert set(headlines.ROWS.values()) <= known
+def test_every_row_is_measured_by_some_case(entries):
+    for pattern in headlines.ROWS.values():
+        assert any(fnmatchcase(name, pattern) for name in entries), pattern
 
 
 def test_rows_and_reasons(entries):
@@ -36,10 +41,16 @@ def test_rows_and_reasons(entries):
     assert lines[2] == (
         "| Q of 1,000 closures in space, an ordered pair | ≤ 2 s | 1.5 s | `distances/SE3-1000` |"
     )
-    assert "| 20,000 closures in space to a graph |  | 900 s | `streaming/SE3-20000` |" in lines
-    label = "their times over mcqd's (C++), geometric mean"
+    label = "20,000 closures in space straight to a graph"
+    assert f"| {label} |  | 900 s | `streaming/SE3-20000` |" in lines
+    label = "… time over mcqd's (C++), geometric mean"
     assert f"| {label} | ≤ 2 s | **2.5 s** | `cliques/hard` |" in lines
-    assert headlines.missed(entries) == f"- *{label}*: each node costs a call."
+    label = "… peak memory over GTSAM's, the largest"
+    assert f"| {label} | ≤ 2 s | **3 s** | `memory` |" in lines
+    assert headlines.missed(entries).splitlines() == [
+        "- `memory/intel/blocks_process`, 3 s: not looked into.",
+        "- `cliques/hard/over_mcqd`, 2.5 s: each node costs a call.",
+    ]
 
 
 def test_readme_keeps_all_else(entries):
