@@ -84,6 +84,14 @@ class CholeskyPlan:
         return self.tree.size
 
     @property
+    def scalars(self) -> int:
+        """Scalars of the pool and of the factor."""
+        factor = sum(
+            group.count * (group.pivots + group.rest) * group.pivots for group in self.groups
+        )
+        return self.chunks * self.block_dim + factor
+
+    @property
     def position(self) -> Int[np.ndarray, " n"]:
         """Elimination position of each pose."""
         return self.tree.position

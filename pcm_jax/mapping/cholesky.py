@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from contextlib import AbstractContextManager
+import math
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import numpy as np
@@ -51,6 +53,28 @@ def limited_to(threads: int) -> AbstractContextManager:
     return _thread_pools().limit(limits=threads)
 
 
+_spare: list[np.ndarray] = []
+
+
+@contextmanager
+def spare_memory(scalars: int) -> Iterator[Float[np.ndarray, " s"]]:
+    """Memory for one factorisation after another, until `free_spare_memory`.
+
+    JAX calls back from one thread and another, and memory that one has freed is not for the others:
+    without this a solve takes several times what its factor takes.
+    """
+    memory = _spare.pop() if _spare else np.empty(0)
+    if len(memory) < scalars:
+        memory = np.empty(scalars)
+    yield memory[:scalars]
+    _spare[:] = [memory]
+
+
+def free_spare_memory() -> None:
+    """Gives back what `spare_memory` keeps."""
+    _spare.clear()
+
+
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
     """The matrix has no Cholesky factor."""
 
@@ -83,7 +107,7 @@ class CholeskyFactor:
     def _forward(self, rows: np.ndarray) -> list[np.ndarray]:
         partial = []
         padding = self.plan.size * self.plan.block_dim
-        for group, inverse, coupling in self._fronts():
+        for group, inverse, coupling in self.fronts():
             solved = inverse @ rows[group.pivot_rows]
             partial.append(solved)
             if group.rest:
@@ -94,59 +118,94 @@ class CholeskyFactor:
     def _backward(self, rows: np.ndarray, partial: list[np.ndarray]) -> None:
         padding = self.plan.size * self.plan.block_dim
         for (group, inverse, coupling), solved in zip(
-            reversed(list(self._fronts())), reversed(partial), strict=True
+            reversed(list(self.fronts())), reversed(partial), strict=True
         ):
             known = coupling.transpose(0, 2, 1) @ rows[group.rest_rows]
             rows[group.pivot_rows] = inverse.transpose(0, 2, 1) @ (solved - known)
             rows[padding:] = 0.0
 
-    def _fronts(self):
+    def fronts(self) -> Iterator[tuple[FrontGroup, np.ndarray, np.ndarray]]:
+        """Groups in the order of factorisation, each with its L⁻¹ and X."""
         return zip(self.plan.groups, self.inverse_pivots, self.couplings, strict=True)
 
 
-def factorize(plan: CholeskyPlan, blocks: Float[np.ndarray, "k d d"]) -> CholeskyFactor:
+def factorize(
+    plan: CholeskyPlan,
+    blocks: Float[np.ndarray, "k d d"],
+    memory: Float[np.ndarray, " s"] | None = None,
+) -> CholeskyFactor:
     """Factorises `H`.
 
     Args:
         plan: the pattern's plan.
         blocks: numbers of the blocks (`plan.block_row`, `plan.block_column`).
+        memory: where to work and to put the factor, `plan.scalars` long; None: in new memory.
 
     Raises:
         NotPositiveDefiniteError: `H` is not positive definite, or not finite.
     """
     if not np.isfinite(blocks).all():
         raise NotPositiveDefiniteError("the matrix is not finite")
-    d = plan.block_dim
-    pool = np.empty((plan.chunks, d))
+    d, scalars = plan.block_dim, plan.chunks * plan.block_dim
+    pool = (np.empty(scalars) if memory is None else memory[:scalars]).reshape(-1, d)
     pool[:d] = np.eye(d)
     pool[d : d * (1 + len(blocks))] = blocks.reshape(-1, d)
-    factor = CholeskyFactor(plan, [], [])
+    kept = np.empty(plan.scalars - scalars) if memory is None else memory[scalars:]
+    factor = CholeskyFactor(plan, *_laid_out(plan, kept))
     threads = blas_threads()
     try:
         with limited_to(1):
-            for group in plan.groups:
-                inverse, coupling = _factorize_group(group, pool, threads)
-                factor.inverse_pivots.append(inverse)
-                factor.couplings.append(coupling)
+            for group, *found in factor.fronts():
+                _factorize_group(group, pool, threads, *found)
     except np.linalg.LinAlgError as error:
         raise NotPositiveDefiniteError(str(error)) from error
     return factor
 
 
+def _laid_out(
+    plan: CholeskyPlan, kept: Float[np.ndarray, " s"]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """The arrays of a factor, one after the other."""
+    shapes = [
+        (group.count, rows, group.pivots)
+        for group in plan.groups
+        for rows in (group.pivots, group.rest)
+    ]
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    parts = [
+        part.reshape(shape) for part, shape in zip(np.split(kept, ends[:-1]), shapes, strict=True)
+    ]
+    return parts[::2], parts[1::2]
+
+
 def _factorize_group(
-    group: FrontGroup, pool: np.ndarray, threads: int
-) -> tuple[np.ndarray, np.ndarray]:
+    group: FrontGroup,
+    pool: np.ndarray,
+    threads: int,
+    inverse: Float[np.ndarray, "b p p"],
+    coupling: Float[np.ndarray, "b r p"],
+) -> None:
+    """Fills in the group's part of the factor, and its update matrices in the pool."""
     pivots, rest = group.pivots, group.rest
     fronts = (group.gather @ pool).reshape(group.count, pivots + rest, pivots + rest)
     stored = pool[group.update : group.update + group.count * rest * rest // pool.shape[1]]
     updates = stored.reshape(group.count, rest, rest)
     if pivots > LARGE_PIVOTS or pivots + rest > LARGE_FRONT:
         with limited_to(threads if pivots + rest > LARGE_FRONT else 1):
-            return _factorize_large(fronts, updates, pivots)
-    inverse = inverse_triangles(np.linalg.cholesky(fronts[:, :pivots, :pivots]))
-    coupling = fronts[:, pivots:, :pivots] @ inverse.transpose(0, 2, 1)
+            _invert_large(fronts[:, :pivots, :pivots], inverse)
+            _couple(fronts, inverse, coupling, updates)
+        return
+    inverse[...] = inverse_triangles(np.linalg.cholesky(fronts[:, :pivots, :pivots]))
+    _couple(fronts, inverse, coupling, updates)
+
+
+def _couple(
+    fronts: np.ndarray, inverse: np.ndarray, coupling: np.ndarray, updates: np.ndarray
+) -> None:
+    """X = B L⁻ᵀ and U."""
+    pivots = inverse.shape[-1]
+    np.matmul(fronts[:, pivots:, :pivots], inverse.transpose(0, 2, 1), out=coupling)
     _update(fronts[:, pivots:, pivots:], coupling, updates)
-    return inverse, coupling
 
 
 def inverse_triangles(lower: Triangles) -> Triangles:
@@ -183,22 +242,13 @@ def _update(blocks: np.ndarray, coupling: np.ndarray, updates: np.ndarray) -> No
         syrk(-1.0, factor.T, beta=1.0, c=update.T, trans=1, overwrite_c=1)
 
 
-def _factorize_large(
-    fronts: np.ndarray, updates: np.ndarray, pivots: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """One front after the other; LAPACK sees a row-major lower triangle as an upper one."""
+def _invert_large(blocks: np.ndarray, inverse: np.ndarray) -> None:
+    """L⁻¹ of `A = L Lᵀ`, one by one; LAPACK sees a row-major lower triangle as an upper one."""
     from scipy.linalg import get_lapack_funcs
 
-    potrf, trtri = get_lapack_funcs(("potrf", "trtri"), (fronts,))
-
-    rest = fronts.shape[1] - pivots
-    inverse = np.empty((len(fronts), pivots, pivots))
-    coupling = np.empty((len(fronts), rest, pivots))
-    for k, front in enumerate(fronts):
-        upper, failed = potrf(front[:pivots, :pivots].T, lower=0, clean=1)
+    potrf, trtri = get_lapack_funcs(("potrf", "trtri"), (blocks,))
+    for block, found in zip(blocks, inverse, strict=True):
+        upper, failed = potrf(block.T, lower=0, clean=1)
         if failed:
             raise np.linalg.LinAlgError("a pivot block is not positive definite")
-        inverse[k] = trtri(upper, lower=0)[0].T
-        np.matmul(front[pivots:, :pivots], inverse[k].T, out=coupling[k])
-    _update(fronts[:, pivots:, pivots:], coupling, updates)
-    return inverse, coupling
+        found[...] = trtri(upper, lower=0)[0].T

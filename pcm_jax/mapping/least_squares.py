@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.mapping.cholesky import free_spare_memory
 from pcm_jax.mapping.linearization import Edges, whitened_residual, whitening_of
 from pcm_jax.padding import bucket
 from pcm_jax.precision import in_float64
@@ -137,6 +138,7 @@ class PoseProblem:
         start = lie.pad_leading(lie.as_numpy(poses), self._size)
         run = _compiled(method, engine, rtol, atol)
         final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
+        free_spare_memory()
         return Solved(
             lie.take(lie.as_numpy(final), slice(0, self._poses)),
             float(initial_cost),

@@ -24,7 +24,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax.mapping.assembly import CholeskyPlan, plan_for
-from pcm_jax.mapping.cholesky import CholeskyFactor, NotPositiveDefiniteError, factorize
+from pcm_jax.mapping.cholesky import (
+    CholeskyFactor,
+    NotPositiveDefiniteError,
+    factorize,
+    spare_memory,
+)
 from pcm_jax.mapping.linearization import apart, multiply
 from pcm_jax.mapping.pattern_cache import PatternCache
 
@@ -88,13 +93,17 @@ class System:
         return _ones(pose, source, (self.size, 2 * self.edges))
 
     def factorize(
-        self, products: Float[np.ndarray, "3 e d d"], damping: float = 0.0
+        self,
+        products: Float[np.ndarray, "3 e d d"],
+        damping: float = 0.0,
+        memory: Float[np.ndarray, " s"] | None = None,
     ) -> CholeskyFactor:
         """Factorises `H + λ diag(H)`; fixed poses have identity blocks.
 
         Args:
             products: per edge JᵗᵀJᵗ, JʰᵀJʰ and JʰᵀJᵗ (t: tail, h: head); padding is ignored.
             damping: λ.
+            memory: as for `cholesky.factorize`.
 
         Raises:
             NotPositiveDefiniteError: the system is singular or not finite.
@@ -109,7 +118,7 @@ class System:
         scalar = np.arange(d)
         blocks[: self.size, scalar, scalar] *= 1.0 + damping
         blocks[plan.position[self.fixed]] = np.eye(d)
-        return factorize(plan, blocks)
+        return factorize(plan, blocks, memory)
 
     def gradient(self, gradients: Float[np.ndarray, "2 e d"]) -> Float[np.ndarray, "n d"]:
         """Jᵀ r of every pose; zero for fixed ones."""
@@ -253,17 +262,16 @@ def _solve_on_host(
     """Body of the callback: δ into the buffer `step`, NaN if there is no factor."""
     del context
     system = system_of(handle)
-    out = np.asarray(step)
-    try:
-        factor = system.factorize(
-            np.asarray(products).astype(np.float64, copy=False), float(np.asarray(damping))
-        )
-    except NotPositiveDefiniteError:
-        out[...] = np.nan
-        return
-    out[...] = 0.0
+    out, products = np.asarray(step), np.asarray(products).astype(np.float64, copy=False)
     gradient = system.gradient(np.asarray(gradients).astype(np.float64, copy=False))
-    out[: system.size] = factor.solve(gradient.ravel()).reshape(gradient.shape)
+    out[...] = 0.0
+    with spare_memory(system.plan.scalars) as memory:
+        try:
+            factor = system.factorize(products, float(np.asarray(damping)), memory)
+        except NotPositiveDefiniteError:
+            out[...] = np.nan
+        else:
+            out[: system.size] = factor.solve(gradient.ravel()).reshape(gradient.shape)
 
 
 class _NormalEquationsSolver(lx.AbstractLinearSolver):

@@ -11,8 +11,10 @@ from pcm_jax.mapping.cholesky import (
     NotPositiveDefiniteError,
     blas_threads,
     factorize,
+    free_spare_memory,
     inverse_triangles,
     limited_to,
+    spare_memory,
 )
 from pcm_jax.mapping.inverse_block import inverse_block, inverse_columns, inverse_diagonal
 from pcm_jax.mapping.symbolic import front_tree
@@ -170,6 +172,23 @@ def test_groups_share_memory_and_stay_small(monkeypatch):
     assert len(small.groups) > len(whole.groups)
     own = sum(group.count * group.rest**2 for group in small.groups)
     assert small.chunks * 3 - (1 + len(small.block_row)) * 9 < own / 2
+
+
+def test_a_factor_in_given_memory_is_the_same():
+    plan, blocks, _ = random_system(60, *random_pairs(60, 200), 3)
+    right = RNG.normal(size=180)
+    expected = factorize(plan, blocks).solve(right)
+    for _ in range(2):
+        with spare_memory(plan.scalars) as memory:
+            memory[:] = np.nan
+            factor = factorize(plan, blocks, memory)
+            assert all(np.shares_memory(part, memory) for part in factor.couplings if part.size)
+            np.testing.assert_array_equal(factor.solve(right), expected)
+    with spare_memory(10) as again:
+        assert np.shares_memory(again, memory)
+    free_spare_memory()
+    with spare_memory(10) as other:
+        assert not np.shares_memory(other, memory)
 
 
 def test_an_indefinite_matrix_is_reported():
