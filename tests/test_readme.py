@@ -100,6 +100,14 @@ def test_python_recipes(names):
     np.testing.assert_allclose(by_gtsam, names["squared"], rtol=1e-3)  # its gauge is a prior
 
 
+def test_python_past_one_device(names, folder):
+    assert names["rows"].num_rows == 200 * 2 * 2
+    assert len(list((folder / "sweep").glob("*.parquet"))) == 2
+    m = len(names["squared"])
+    by_gtsam = names["pcm"].squared_mahalanobis(names["problem"])
+    np.testing.assert_allclose(names["shared"][:m, :m], by_gtsam, rtol=1e-12)
+
+
 def test_commands():
     """In the page's order, and so in one test: later ones use what earlier ones wrote."""
     for line in COMMANDS:
