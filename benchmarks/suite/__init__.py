@@ -9,6 +9,8 @@ maps         the pose graphs measured on: public files, or simulated ones where 
 gtsam_peer   the same graphs, solves and marginals by GTSAM
 clique_peers, clique_graphs   maximum cliques by other packages, and the graphs for it
 
-One module per subject, each with a list `CASES`: optimization, marginals, distances, streaming,
-world_sweeps, sweeps, cliques, calibration, files, end_to_end.
+one_solve    one solve in a process of its own, ours or GTSAM's, for its memory
+
+One module per subject, each with a list `CASES`: optimization, marginals, memory, distances,
+streaming, world_sweeps, sweeps, cliques, calibration, files, end_to_end.
 """

@@ -47,6 +47,10 @@ COSTS = {
 ENGINES = ("blocks", "cholmod")
 OVER_GTSAM = {"blocks": 1.2, "cholmod": 0.7}
 """Times GTSAM's: the default engine on every graph, `cholmod` on the geometric mean."""
+ATLAS = (
+    "in space CHOLMOD's dense part decides, by the BLAS in sparsax's wheel, an ATLAS of 3 to 5"
+    " Gflop/s; our ordering, or repeated entries summed beforehand, make no difference"
+)
 PLAN_SECONDS = {"city10000": 0.3, "torus3D": 0.5}
 
 
@@ -224,7 +228,10 @@ CASES = [
     *map(_solve_case, (*maps.FILES, *maps.SIMULATED)),
     Case(
         "optimization/all-graphs",
-        [Metric(f"{engine}_over_gtsam", "×", figure=OVER_GTSAM[engine]) for engine in ENGINES],
+        (
+            Metric("blocks_over_gtsam", "×", figure=OVER_GTSAM["blocks"]),
+            Metric("cholmod_over_gtsam", "×", figure=OVER_GTSAM["cholmod"], reason=ATLAS),
+        ),
         all_graphs,
     ),
     *(
