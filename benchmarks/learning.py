@@ -83,10 +83,10 @@ COLUMNS = {
     "tpr": "TPR",
     "fpr": "FPR",
     "tpr_at": "TPR at 0.1 %",
-    "ate_median": "ATE, m",
-    "ate_mean": "its mean",
-    "ate_weighted_median": "ATE weighted, m",
-    "ate_weighted_mean": "its mean ",
+    "ate_median": "ATE, median, m",
+    "ate_mean": "ATE, mean, m",
+    "ate_weighted_median": "weighted: median, m",
+    "ate_weighted_mean": "weighted: mean, m",
 }
 
 

@@ -11,7 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-LIBRARIES = {"IPython", "jax", "jaxlie", "matplotlib", "networkx", "numpy", "pcm_jax", "scipy"}
+LIBRARIES = {"IPython", "equinox", "jax", "jaxlie", "matplotlib", "networkx", "numpy", "optax"}
+LIBRARIES |= {"pcm_jax", "scipy"}
 MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|tmp|usr|var|work|Users|opt|mnt)/|[A-Z]:\\")
 MOST_BYTES = 1_000_000
 MOST_LINES = 25
