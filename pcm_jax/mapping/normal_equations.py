@@ -339,25 +339,29 @@ class Cholmod(_NormalEquationsSolver):
 
 
 def _upper_triangle(state: BlockJacobian, products: Array) -> tuple[Array, Array, Array]:
-    """Coordinates of `H + λ diag(H)` with repeats, entries below the diagonal left out."""
-    size = products.shape[-1]
+    """Coordinates of `H + λ diag(H)`: the diagonal blocks' triangles, and a block for every edge.
+
+    Blocks of equal place are repeated, which CHOLMOD sums; entries below the diagonal are left out.
+    """
+    size, identity = products.shape[-1], jnp.eye(products.shape[-1])
+    diagonal = jnp.zeros((len(state.free), size, size), products.dtype)
+    diagonal = diagonal.at[state.tail].add(products[0]).at[state.head].add(products[1])
+    diagonal *= 1.0 + state.damping * identity
+    diagonal = jnp.where(state.free[:, None, None], diagonal, identity)
     i, j = np.triu_indices(size)
-    damped = products * (1.0 + state.damping * jnp.eye(size))
-    from_tail, from_head = state.free[state.tail], state.free[state.head]
+    own = jnp.arange(len(state.free))[:, None] * size
     scalar = np.arange(size)
     t, h = state.tail[:, None, None] * size, state.head[:, None, None] * size
     below = t + scalar + 0 * scalar[:, None], h + scalar[:, None] + 0 * scalar  # of JhᵀJt
     forward = t < h
-    fixed_row = jnp.arange(len(state.free) * size)
+    between = products[2] * (state.free[state.tail] & state.free[state.head])[:, None, None]
     parts = (
-        (t[:, 0] + i, t[:, 0] + j, damped[0][:, i, j] * from_tail[:, None]),
-        (h[:, 0] + i, h[:, 0] + j, damped[1][:, i, j] * from_head[:, None]),
+        (own + i, own + j, diagonal[:, i, j]),
         (
             jnp.where(forward, below[0], below[1]),
             jnp.where(forward, below[1], below[0]),
-            products[2] * (from_tail & from_head)[:, None, None],
+            between,
         ),
-        (fixed_row, fixed_row, jnp.repeat(jnp.where(state.free, 0.0, 1.0), size)),
     )
     row, column, value = (jnp.concatenate([p[k].ravel() for p in parts]) for k in range(3))
     return row.astype(jnp.int32), column.astype(jnp.int32), value
