@@ -102,7 +102,8 @@ def in_float32(group: str, settings: Settings) -> dict[str, Measured]:
     """What float32 costs in digits and gains in time, in a simulated world."""
     simulated = {"SE2": simulate_city, "SE3": simulate_sessions}[group]().graph
     closures, _ = simulated.closures.between(0, 1)
-    double = consistency_problem(*(optimize(one).graph for one in simulated.maps), closures)
+    map_a, map_b = (optimize(one).graph for one in simulated.maps)
+    double = consistency_problem(map_a, map_b, closures)
     single = double.astype(np.float32)
     exact, found = (np.asarray(squared_mahalanobis(each), float) for each in (double, single))
     problems = {"float64": double, "float32": single}
