@@ -29,7 +29,7 @@ RUNTIME = (
     " solve, GTSAM's process 85 MB"
 )
 STORED = (
-    "Jacobians and products of all edges are padded arrays, several at a time, where GTSAM forms one"
+    "Jacobians and products of all edges are padded arrays, several at a time; GTSAM forms one"
     " factor after another; of cubicle's 270 MB the factor takes 50, the fronts 55, the plan 27"
 )
 REASONS = {"solving": STORED, "process": RUNTIME}
@@ -42,7 +42,7 @@ def solving(name: str, settings: Settings) -> dict[str, Measured]:
     with tempfile.TemporaryDirectory() as folder:
         graph = Path(folder) / "graph.npz"
         np.savez(graph, **gtsam_peer.plain(start)._asdict())
-        megabytes = {solver: _one_solve(solver, graph) for solver in (*ENGINES, "gtsam")}
+        megabytes = {solver: one_solve(solver, graph) for solver in (*ENGINES, "gtsam")}
     theirs = megabytes["gtsam"]
     found = {}
     for engine in ENGINES:
@@ -57,7 +57,8 @@ def solving(name: str, settings: Settings) -> dict[str, Measured]:
     return found
 
 
-def _one_solve(solver: str, graph: Path) -> dict[str, float]:
+def one_solve(solver: str, graph: Path) -> dict[str, float]:
+    """What `benchmarks.suite.one_solve` prints, by an engine of ours or by "gtsam"."""
     command = [sys.executable, "-m", "benchmarks.suite.one_solve", solver, str(graph)]
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     return json.loads(done.stdout)

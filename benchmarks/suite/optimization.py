@@ -100,14 +100,14 @@ def all_graphs(settings: Settings) -> dict[str, Measured]:
         peer = gtsam_peer.factors_and_values(start, "solve")
         ratios[name] = _raced(start, peer, settings.patience)
     return {
-        f"{engine}_over_gtsam": _mean(
+        f"{engine}_over_gtsam": mean_of(
             {name: each[f"{engine}_over_gtsam"] for name, each in ratios.items()}
         )
         for engine in ENGINES
     }
 
 
-def _mean(ratios: dict[str, Measured]) -> Measured:
+def mean_of(ratios: dict[str, Measured]) -> Measured:
     """The geometric mean, and what it is the mean of; none where one is missing."""
     known = {name: each.value for name, each in ratios.items() if each.value is not None}
     if len(known) < len(ratios):

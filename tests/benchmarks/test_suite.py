@@ -1,6 +1,9 @@
 """The suite itself: its cases are well formed, its peer is given the same problem, it runs."""
 
+import dataclasses
 import json
+import subprocess
+import sys
 
 import gtsam
 import jaxlie
@@ -8,10 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import SUBJECTS, all_cases, main
-from benchmarks.suite import gtsam_peer, maps
-from benchmarks.suite.harness import Settings, chosen
+from benchmarks.suite import gtsam_peer, maps, memory, optimization
+from benchmarks.suite.harness import ROOT, Measured, Settings, chosen
 from benchmarks.suite.random_worlds import moved, random_closures, random_map
-from pcm_jax import lie
+from pcm_jax import lie, optimize
+from pcm_jax.precision import device_array
 
 
 def test_every_metric_has_one_name_and_its_subject_s():
@@ -77,6 +81,40 @@ def test_gtsam_is_given_the_same_problem(group):
     expected = dense_covariance(graph)
     found = gtsam_peer.in_our_order(found, graph.tangent_dim)
     assert np.abs(found - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_gtsam_needs_no_jax_for_a_plain_graph():
+    program = "import sys, benchmarks.suite.gtsam_peer; print('jax' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    assert done.stdout.strip() == "False"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
+def test_memory_of_one_solve(tmp_path):
+    graph = random_map(jaxlie.SE2, np.random.default_rng(3), poses=300, loops=100)
+    np.savez(tmp_path / "graph.npz", **gtsam_peer.plain(graph)._asdict())
+    found = {each: memory.one_solve(each, tmp_path / "graph.npz") for each in ("blocks", "gtsam")}
+    for megabytes in found.values():
+        assert 10.0 < megabytes["before"] <= megabytes["solving"] <= megabytes["whole"]
+    assert found["gtsam"]["whole"] < found["blocks"]["before"]
+
+
+def test_lago_and_gauss_newton_find_our_optimum():
+    graph = random_map(jaxlie.SE2, np.random.default_rng(5), poses=40, loops=20)
+    diagonal = np.broadcast_to(np.diag([25.0, 16.0, 400.0]), graph.information.shape)
+    graph = dataclasses.replace(graph, information=device_array(diagonal))
+    factors, _ = gtsam_peer.factors_and_values(graph, "solve")
+    found = factors.error(gtsam_peer.lago_and_gauss_newton(factors))
+    assert found == pytest.approx(optimize(graph).cost, rel=1e-6)
+
+
+def test_the_mean_of_ratios_is_geometric_and_of_all():
+    ratios = {"a": Measured(2.0), "b": Measured(0.5)}
+    assert optimization.mean_of(ratios).value == pytest.approx(1.0)
+    missing = optimization.mean_of(ratios | {"c": Measured(None, "no engine")})
+    assert missing == Measured(None, "no engine")
 
 
 @pytest.mark.parametrize("group", [jaxlie.SE2, jaxlie.SE3], ids=["SE2", "SE3"])
