@@ -76,7 +76,7 @@ def sweep(
             and polars read the folder as one table. A call with equal arguments goes on from what
             is there, one with more worlds adds those. A kill costs one batch.
         worlds: how many, numbered from 0.
-        methods: of `select_batched`; `"pcm-exact"` takes worlds of at most 64 closures,
+        methods: of `select_batched`; `"pcm-exact"` takes worlds of at most 128 closures,
             `"combinatorial"` of at most 32.
         confidences: probabilities inside the gates, see `chi2_gate`.
         seed: of `jax.random.key`.

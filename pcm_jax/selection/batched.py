@@ -34,7 +34,7 @@ from pcm_jax.consistency import consistency_graph
 from pcm_jax.errors import InputError
 
 WORD = 32
-EXACT_LIMIT = 64
+EXACT_LIMIT = 128
 _BLOCK = 1 << 20  # entries of the largest array within a block of worlds
 # Of power iteration: 99 % of the worlds of 115 closures converge within 120 steps.
 _STEPS, _STEPS_AT_ONCE = 256, 8
@@ -57,7 +57,7 @@ def select_batched(
 
     Raises:
         InputError: an unknown method, or more measurements than 32 for `"combinatorial"` or
-            64 for `"pcm-exact"`.
+            128 for `"pcm-exact"`.
     """
     if method not in KERNELS:
         raise InputError(f"method: {method!r}, expected one of {', '.join(KERNELS)}")
@@ -101,7 +101,7 @@ def combinatorial(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
 
 
 def pcm_exact(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
-    """The largest pairwise consistent set by branch and bound, m ≤ 64."""
+    """The largest pairwise consistent set by branch and bound, m ≤ 128."""
     _at_most(EXACT_LIMIT, squared, "pcm-exact")
     return maximum_clique_batched(consistency_graph(squared, gate)).members
 

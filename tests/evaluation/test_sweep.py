@@ -123,7 +123,7 @@ def test_the_same_program_serves_other_noise_gates_and_seeds(tmp_path):
         ({"confidences": (1.5,)}, "confidence: .* expected a probability"),
         ({"closures": 9}, "closures: not an argument of a sweep"),
         ({"reach": -1.0}, "reach: -1.0 given, expected a number above 0"),
-        ({"methods": ("pcm-exact",), "random": 60}, "67 measurements, expected at most 64"),
+        ({"methods": ("pcm-exact",), "random": 130}, "137 measurements, expected at most 128"),
     ],
 )
 def test_bad_arguments_are_named(changes, message, tmp_path):

@@ -98,7 +98,7 @@ def test_leading_axes_and_no_measurements(method):
     assert kept(np.zeros((1, 1)), GATE, method=method).tolist() == [True]
 
 
-@pytest.mark.parametrize(("method", "bits"), [("pcm-exact", 64), ("combinatorial", 32)])
+@pytest.mark.parametrize(("method", "bits"), [("pcm-exact", 64), ("pcm-exact", 128), ("combinatorial", 32)])
 def test_a_whole_word(method, bits):
     """As many measurements as are accepted, the highest bit included."""
     squared = np.full((2, bits, bits), 9.0)
@@ -114,7 +114,7 @@ def test_a_whole_word(method, bits):
     ("size", "options", "message"),
     [
         (33, {"method": "combinatorial"}, "33 measurements, expected at most 32"),
-        (65, {"method": "pcm-exact"}, "65 measurements, expected at most 64"),
+        (129, {"method": "pcm-exact"}, "129 measurements, expected at most 128"),
         (3, {"method": "guess"}, "method: 'guess', expected one of pcm-exact, "),
         (3, {"method": "scgp", "affinity": "x"}, "affinity: 'x', expected one of gaussian, "),
     ],
