@@ -1,8 +1,8 @@
 """Two robots on one grid of streets, drawn inside a compiled program: for sweeps over thousands.
 
-The law is that of `city`, in the plane or in space, with two things left out that no compiled
-program of fixed shape can have: maps have no loop closures of their own, and places where the
-robots meet are looked for among some of their poses instead of all.
+The law is that of `city`, in the plane or in space, but for two things that would cost a program of
+fixed shape too much: maps have no loop closures of their own, and places where the robots meet are
+looked for among some of their poses instead of all.
 
 - Both drive through a town of square blocks, straight on or, now and then, to a side (`streets`).
 - A map is odometry alone, X_{s+1} = X_s z_s, each step with an error of its own, so that the joint
@@ -13,7 +13,7 @@ robots meet are looked for among some of their poses instead of all.
 - Aliased groups and random closures are those of `outliers`.
 
 Everything follows from one random key, traced or not, by JAX's counter-based generator: the same
-key gives the same world on every kind of device.
+key gives the same world, to rounding, on every kind of device.
 """
 
 from __future__ import annotations
@@ -112,23 +112,21 @@ def simulate_chains(
     require_at_least(0, inliers=inliers, aliased_groups=aliased_groups, random=random)
     require_at_least(1, aliased_size=aliased_size)
     require_at_least(2, poses=poses)
-    odometry, closing = (
-        (sigma_translation, sigma_rotation),
-        (closure_sigma_translation, closure_sigma_rotation),
-    )
-    _require_deviations(*odometry, *closing, reach)
-    if inliers + aliased_groups * aliased_size + random == 0:
+    counts = inliers, aliased_groups, aliased_size, random
+    known = inliers + aliased_groups * aliased_size
+    if known + random == 0:
         raise InputError("inliers, aliased_groups, random: all 0, expected a closure at least")
-    group_size = aliased_groups * aliased_size
-    chance, white = _draws(key, group, poses, (inliers, aliased_groups, aliased_size, random))
+    odometry = sigma_translation, sigma_rotation
+    closing = closure_sigma_translation, closure_sigma_rotation
+    _require_deviations(*odometry, *closing, reach)
+    chance, white = _draws(key, group, poses, counts)
     drive = functools.partial(town_drive, group=group, poses=poses, blocks=blocks)
     truth = jax.vmap(drive)(chance.drives)
     steps = lie.between(lie.take(truth, np.s_[:, :-1]), lie.take(truth, np.s_[:, 1:]))
     maps = jax.vmap(_added_up)(_measured(steps, white.steps, odometry))
-    pairs = _pairs(chance, white, truth, (inliers, aliased_groups, aliased_size, random), reach)
-    known = lie.take(pairs.exact, np.s_[: inliers + group_size])
-    guessed = lie.take(pairs.exact, np.s_[inliers + group_size :])
-    measurement = lie.concatenate([_measured(known, white.closures, closing), guessed])
+    pairs = _pairs(chance, white, truth, counts, reach)
+    seen, guessed = (lie.take(pairs.exact, part) for part in (np.s_[:known], np.s_[known:]))
+    measurement = lie.concatenate([_measured(seen, white.closures, closing), guessed])
     order = jnp.argsort(chance.order)
     touched = jnp.stack([pairs.pose_a[order], pairs.pose_b[order]])
     problem = _problem(maps, touched, lie.take(measurement, order), odometry, closing)
