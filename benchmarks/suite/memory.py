@@ -30,7 +30,7 @@ RUNTIME = (
 )
 STORED = (
     "Jacobians and products of all edges are padded arrays, several at a time; GTSAM forms one"
-    " factor after another; of cubicle's 270 MB the factor takes 50, the fronts 55, the plan 27"
+    " factor after another; of cubicle's 260 MB the factor takes 50, the fronts 55, the plan 27"
 )
 REASONS = {"solving": STORED, "process": RUNTIME}
 
