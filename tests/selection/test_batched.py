@@ -98,7 +98,9 @@ def test_leading_axes_and_no_measurements(method):
     assert kept(np.zeros((1, 1)), GATE, method=method).tolist() == [True]
 
 
-@pytest.mark.parametrize(("method", "bits"), [("pcm-exact", 64), ("pcm-exact", 128), ("combinatorial", 32)])
+@pytest.mark.parametrize(
+    ("method", "bits"), [("pcm-exact", 64), ("pcm-exact", 128), ("combinatorial", 32)]
+)
 def test_a_whole_word(method, bits):
     """As many measurements as are accepted, the highest bit included."""
     squared = np.full((2, bits, bits), 9.0)
