@@ -170,7 +170,10 @@ def in_digits(value: float | None, metric: Metric) -> str:
     """A value with its unit, for people."""
     if value is None:
         return "–"
-    return f"{value:.{metric.digits}g} {metric.unit}".rstrip()
+    text = f"{value:.{metric.digits}g}"
+    if "e+" in text:
+        text = f"{value:,.0f}"
+    return f"{text} {metric.unit}".rstrip()
 
 
 def _in_lines(case: Case, outcome: Outcome) -> str:

@@ -15,6 +15,7 @@ MARKERS = "<!-- how fast: generated, do not edit -->", "<!-- end of how fast -->
 ROWS = {
     "Q of 1,000 closures in space, an ordered pair": "distances/SE3-1000/pair",
     "… of 3,000": "distances/SE3-3000-from-marginals/pair",
+    "… cores kept busy": "distances/SE3-*/cores",
     "… of 1,000, given covariances checked and gathered": (
         "distances/SE3-1000-from-marginals/pair_from_marginals"
     ),
@@ -33,7 +34,8 @@ ROWS = {
     "10,000 cliques in one program, over one by one": "cliques/batched/*",
     "Gauss–Newton over GTSAM's, the slowest of eight graphs": "optimization/*/blocks_over_gtsam",
     "… by CHOLMOD, geometric mean": "optimization/all-graphs/cholmod_over_gtsam",
-    "… peak memory over GTSAM's, the largest": "memory/*",
+    "… peak memory of the solve over GTSAM's, the largest": "memory/*_solving",
+    "… of the whole process": "memory/*_process",
     "symbolic plan of City10000": "optimization/plan-city10000/first_call",
     "… of torus3D": "optimization/plan-torus3D/first_call",
     "City10000 in one go over GTSAM's LAGO + Gauss–Newton": (
@@ -69,17 +71,16 @@ def table(entries: Entries) -> str:
 
 
 def missed(entries: Entries) -> str:
-    """The reasons of those that are missed, a line each."""
-    short = {name: entry for name, entry in entries.items() if entry["reached"] is False}
-    promised = {
-        name: entry
-        for name, entry in short.items()
-        if any(fnmatchcase(name, pattern) for pattern in ROWS.values())
-    }
+    """What is missed, by reason, a line each."""
+    by_reason: dict[str, list[str]] = {}
+    for name, entry in entries.items():
+        promised = any(fnmatchcase(name, pattern) for pattern in ROWS.values())
+        if entry["reached"] is False and promised:
+            value = in_digits(entry["value"], metric_of(name, entry))
+            by_reason.setdefault(entry["reason"], []).append(f"`{name}` ({value})")
     return "\n".join(
-        f"- `{name}`, {in_digits(entry['value'], metric_of(name, entry))}: "
-        f"{entry['reason'] or 'not looked into'}."
-        for name, entry in promised.items()
+        f"- {', '.join(names)}: {reason or 'not looked into'}."
+        for reason, names in by_reason.items()
     )
 
 
