@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files.header import scope_of
 from pcm_jax.files.pose_file import Lines, PoseFile
 from pcm_jax.files.robots import assemble
-from pcm_jax.files.write import check_group, original_keys
+from pcm_jax.files.write import check_group, closure_keys, original_keys
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import argument_fault, check_information, check_self_loops
@@ -64,7 +64,7 @@ def to_gtsam(graph: MultiRobotGraph | PoseGraph) -> tuple[Any, Any]:
             values.insert(key, kind.pose(matrix))
         ends = ids[np.asarray(pose_graph.tail)], ids[np.asarray(pose_graph.head)]
         _add(factors, gtsam, kind, ends, pose_graph)
-    _add(factors, gtsam, kind, _closure_keys(graph, keys), graph.closures)
+    _add(factors, gtsam, kind, closure_keys(graph, keys), graph.closures)
     return factors, values
 
 
@@ -130,9 +130,7 @@ def _matrices(transforms: Any) -> np.ndarray:
     return np.asarray(lie.as_matrix(lie.as_numpy(transforms)))
 
 
-def _add(
-    factors: Any, gtsam: Any, kind: _Kind, keys: tuple[np.ndarray, np.ndarray], measured: Any
-) -> None:
+def _add(factors: Any, gtsam: Any, kind: _Kind, keys: Sequence[np.ndarray], measured: Any) -> None:
     """Between factors of the measurements and information of edges or closures."""
     order = np.array(kind.order)  # its own inverse
     information = np.asarray(measured.information)[:, order[:, None], order]
@@ -142,14 +140,6 @@ def _add(
     ):
         noise = gtsam.noiseModel.Gaussian.Information(weight)
         factors.add(kind.between(tail, head, kind.pose(matrix), noise))
-
-
-def _closure_keys(graph: MultiRobotGraph, keys: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    joined, start = np.concatenate(keys), np.cumsum([0, *map(len, keys)])
-    closures = graph.closures
-    ends = (closures.robot_a, closures.pose_a), (closures.robot_b, closures.pose_b)
-    a, b = (joined[start[np.asarray(robot)] + np.asarray(pose)] for robot, pose in ends)
-    return a, b
 
 
 def _warn_of_others(others: list[Any]) -> None:

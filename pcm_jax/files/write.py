@@ -163,16 +163,16 @@ def _body(graph: MultiRobotGraph, keys: list[np.ndarray]) -> Iterable[str]:
         ends = [ids[np.asarray(pose_graph.tail)], ids[np.asarray(pose_graph.head)]]
         yield from _lines("EDGE", ends, pose_graph.measurement, pose_graph.information)
     closures = graph.closures
-    start = np.cumsum([0, *map(len, keys)])
-    joined = np.concatenate(keys)
-    ends = [
-        joined[start[np.asarray(robot)] + np.asarray(pose)]
-        for robot, pose in (
-            (closures.robot_a, closures.pose_a),
-            (closures.robot_b, closures.pose_b),
-        )
-    ]
+    ends = closure_keys(graph, keys)
     yield from _lines("EDGE", ends, closures.measurement, closures.information)
+
+
+def closure_keys(graph: MultiRobotGraph, keys: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The ids of the poses that closures start and end at, of `keys`, robot by robot."""
+    joined, start = np.concatenate(keys), np.cumsum([0, *map(len, keys)])
+    closures = graph.closures
+    ends = (closures.robot_a, closures.pose_a), (closures.robot_b, closures.pose_b)
+    return [joined[start[np.asarray(robot)] + np.asarray(pose)] for robot, pose in ends]
 
 
 def _lines(
