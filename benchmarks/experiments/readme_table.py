@@ -11,6 +11,7 @@ from pathlib import Path
 
 from benchmarks.experiments.city_report import IN_THE_PAPER
 from benchmarks.suite.harness import ROOT
+from benchmarks.suite.report import with_block
 from pcm_jax.evaluation import comparison_table
 
 README = ROOT / "README.md"
@@ -60,12 +61,5 @@ def _row(ours: Mapping[str, float], paper: str = "") -> dict[str, float]:
     return {name: ours[name] for name in FIGURES} | {f"paper {k}": v for k, v in theirs.items()}
 
 
-def with_block(text: str, table: str) -> str:
-    """A document with the table between its markers."""
-    before, _, rest = text.partition(MARKERS[0])
-    _, _, after = rest.partition(MARKERS[1])
-    return f"{before}{MARKERS[0]}\n\n{table}\n\n{MARKERS[1]}{after}"
-
-
 if __name__ == "__main__":
-    README.write_text(with_block(README.read_text(), block()))
+    README.write_text(with_block(README.read_text(), MARKERS, block()))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
 from benchmarks.suite.harness import ROOT, in_digits
-from benchmarks.suite.report import Entry, figure_of, metric_of
+from benchmarks.suite.report import Entry, figure_of, metric_of, with_block
 
 README = ROOT / "README.md"
 MARKERS = "<!-- how fast: generated, do not edit -->", "<!-- end of how fast -->"
@@ -100,10 +100,8 @@ def _worst(entries: Entries, pattern: str) -> tuple[str, Entry]:
 
 def with_headlines(text: str, entries: Entries) -> str:
     """A document with both between its markers."""
-    before, _, rest = text.partition(MARKERS[0])
-    _, _, after = rest.partition(MARKERS[1])
     parts = [part for part in (table(entries), missed(entries)) if part]
-    return "\n\n".join([before + MARKERS[0], *parts, MARKERS[1]]) + after
+    return with_block(text, MARKERS, "\n\n".join(parts))
 
 
 def record(entries: Entries) -> None:

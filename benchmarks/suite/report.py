@@ -125,8 +125,6 @@ def record(entries: Mapping[str, Entry], machine: Entry) -> None:
 
 def with_results(text: str, entries: Mapping[str, Entry], machine: Entry) -> str:
     """A document with the results between its markers."""
-    before, rest = text.split(MARKERS[0])
-    after = rest.split(MARKERS[1])[1]
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     described = (
         f"Measured on {machine['date']} at commit {machine['commit']}: {machine['processor']},"
@@ -137,7 +135,14 @@ def with_results(text: str, entries: Mapping[str, Entry], machine: Entry) -> str
     spent = ", ".join(f"{subject} {s:.0f} s" for subject, s in _seconds(entries).items())
     results = table({name: {**entry, "ratio": None} for name, entry in entries.items()})
     generated = f"{described}\nRun time: {spent}.\n\n{results}"
-    return f"{before}{MARKERS[0]}\n\n{generated}\n\n{MARKERS[1]}{after}"
+    return with_block(text, MARKERS, generated)
+
+
+def with_block(text: str, markers: tuple[str, str], block: str) -> str:
+    """A document with `block` between its markers, instead of what was there."""
+    before, rest = text.split(markers[0])
+    _, after = rest.split(markers[1])
+    return f"{before}{markers[0]}\n\n{block}\n\n{markers[1]}{after}"
 
 
 def _seconds(entries: Mapping[str, Entry]) -> dict[str, float]:
