@@ -54,8 +54,8 @@ from benchmarks.experiments.city_report import (
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
 from benchmarks.experiments.record import LIBRARY, Steps, means_by_method, write_csv
 from benchmarks.suite.harness import DATA, write_json
-from pcm_jax.evaluation import Compared, Method, compare_methods
-from pcm_jax.evaluation.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER
+from pcm_jax.experiments import Compared, Method, compare_methods
+from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER
 from pcm_jax.simulation import SimulatedWorld
 
 CITY = DATA / "city10000" / "city10000.g2o.xz"

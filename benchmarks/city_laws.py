@@ -26,7 +26,8 @@ from benchmarks.experiments.city_report import IN_THE_PAPER
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
 from benchmarks.experiments.record import Steps, means_by_method
 from benchmarks.suite.harness import write_json
-from pcm_jax.evaluation import Method, comparison_table
+from pcm_jax.evaluation import comparison_table
+from pcm_jax.experiments import Method
 
 
 class Study(NamedTuple):

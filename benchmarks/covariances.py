@@ -61,8 +61,8 @@ from pcm_jax import (
     select_from,
     squared_mahalanobis,
 )
+from pcm_jax.arrays import on_host
 from pcm_jax.evaluation.metrics import false_positive_rate, pose_error, true_positive_rate
-from pcm_jax.precision import in_float64
 
 COVARIANCES = ("joint", "odometry-chain", "independent")
 REFERENCE = "no-outliers"
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-@in_float64
+@on_host
 def run_world(kind: Kind, point: Point, seed: int, number: int) -> dict[str, Any]:
     """What the three covariances make of one world: figures by row, rates by confidence."""
     world = candidates(kind, point, seed, number)
@@ -262,7 +262,7 @@ def _save_panels(
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from pcm_jax.evaluation.plots import plot_threshold_sweeps
+    from pcm_jax.plots import plot_threshold_sweeps
 
     axes = plot_threshold_sweeps(np.array(x), panels, xlabel=xlabel, percent=list(_RATES))
     if expected is not None:

@@ -28,8 +28,8 @@ from benchmarks.suite.harness import ROOT, write_json
 from benchmarks.suite.measure import peak_memory
 from benchmarks.suite.streaming import streamed, world
 from pcm_jax import maximum_clique
+from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import comparison_table
-from pcm_jax.precision import in_float64
 
 COUNTS = (2_000, 5_000, 10_000, 20_000, 50_000)
 SOURCES = (*LIBRARY, ROOT / "benchmarks" / "suite" / "streaming.py")
@@ -77,7 +77,7 @@ def _apart(count: int, seed: int) -> dict[str, Any]:
         return pool.apply(grown, (count, seed))
 
 
-@in_float64
+@on_host
 def grown(count: int, seed: int) -> dict[str, Any]:
     """Time and memory of the graph of so many closures, and of a maximum clique of it."""
     graph, seconds = streamed(world(count, seed))

@@ -61,8 +61,8 @@ from benchmarks.experiments.record import (
     write_csv,
 )
 from benchmarks.suite.harness import write_json
+from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import comparison_table
-from pcm_jax.precision import in_float64
 
 MOST_FALSE = 1e-3
 SCALES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-@in_float64
+@on_host
 def run_seed(seed: int, train: int, test: int) -> dict[str, Any]:
     """Figures of every method, and its true rates at `FALSE_RATES`, for one seed's worlds."""
     known, new = (worlds(part, n) for part, n in ((2 * seed, train), (2 * seed + 1, test)))
@@ -222,7 +222,7 @@ def _draw(runs: Sequence[Mapping[str, Any]], out: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from pcm_jax.evaluation.plots import plot_threshold_sweep
+    from pcm_jax.plots import plot_threshold_sweep
 
     curves = {name: [run["curves"][name] for run in runs] for name in runs[0]["curves"]}
     figure, ax = pyplot.subplots(figsize=(7.0, 5.0), layout="constrained")

@@ -225,7 +225,7 @@ def _draw(chunks: Sequence[Counts], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from pcm_jax.evaluation.plots import plot_set_size_histogram
+    from pcm_jax.plots import plot_set_size_histogram
 
     figure, axes = pyplot.subplots(2, 1, figsize=(8.0, 9.0), dpi=110, layout="constrained")
     for ax, quantity in zip(axes, ("size_difference", "inconsistent_pairs"), strict=True):

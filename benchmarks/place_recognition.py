@@ -63,9 +63,10 @@ from pcm_jax import (
     select_within,
     split,
 )
-from pcm_jax.evaluation import Compared, Method, ate_rmse, compare_methods
-from pcm_jax.evaluation.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
-from pcm_jax.precision import in_float64
+from pcm_jax.arrays import on_host
+from pcm_jax.evaluation import ate_rmse
+from pcm_jax.experiments import Compared, Method, compare_methods
+from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
 
 ALL_METHODS = PAPER | CALIBRATED | BEYOND_THE_PAPER
 SOME_METHODS = {
@@ -244,7 +245,7 @@ def factors_of(data: Path, name: str, kind: str) -> Factors:
     return real.factors_of_truth(selection, candidates)
 
 
-@in_float64
+@on_host
 def sessions(graph: PoseGraph, cut: int, maps: str) -> MultiRobotGraph:
     """Two robots' maps, each in the frame of its first pose, and all candidates across the cut."""
     both = split(graph, cut)

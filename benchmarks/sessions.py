@@ -58,8 +58,9 @@ from benchmarks.experiments.registrations import (
 )
 from benchmarks.suite.harness import DATA, write_json
 from pcm_jax import InputError, MultiRobotGraph, chi2_gate, lie, select
-from pcm_jax.evaluation import Compared, ate_rmse, compare_methods, comparison_table
-from pcm_jax.evaluation.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
+from pcm_jax.evaluation import ate_rmse, comparison_table
+from pcm_jax.experiments import Compared, compare_methods
+from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
 from pcm_jax.simulation import simulate_sessions
 
 NCLT = DATA / "nclt"
@@ -224,7 +225,7 @@ def draw_figures(out: Path, source: Source, seed: int) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from pcm_jax.evaluation.plots import plot_comparison, plot_trajectories_with_closures
+    from pcm_jax.plots import plot_comparison, plot_trajectories_with_closures
 
     version = draw(source, seed, 0)
     graph, _ = _optimised(version.graph)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         to_networkx,
     )
     from pcm_jax.errors import FileFormatError, InputError, InputWarning
-    from pcm_jax.evaluation import sweep
+    from pcm_jax.experiments import sweep
     from pcm_jax.files import (
         from_gtsam,
         read_graph,
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     )
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
     from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
-    from pcm_jax.merging import MergeResult, merge, merge_differentiable
+    from pcm_jax.merging import MergeResult, merge_differentiable
+    from pcm_jax.pipeline import merge, select
     from pcm_jax.selection import (
         Selection,
         WithinSelection,
         clean_maps,
-        select,
         select_from,
         select_within,
         soft_select,
@@ -122,13 +122,13 @@ _NAMES_OF = {
         "Selection",
         "WithinSelection",
         "clean_maps",
-        "select",
         "select_from",
         "select_within",
         "soft_select",
     ),
-    "evaluation": ("sweep",),
-    "merging": ("MergeResult", "merge", "merge_differentiable"),
+    "experiments": ("sweep",),
+    "merging": ("MergeResult", "merge_differentiable"),
+    "pipeline": ("merge", "select"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcm_jax.padding import bucket, pad_leading
+from pcm_jax.arrays import bucket, pad_leading
 
 
 def test_buckets_are_few_and_sufficient():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pcm_jax.cli import main
-from pcm_jax.cli.arguments import parser
+from pcm_jax.cli._arguments import parser
 from pcm_jax.evaluation import ate_rmse
 from pcm_jax.files import read_graph, write_g2o
 from pcm_jax.graph import LoopClosures, MultiRobotGraph

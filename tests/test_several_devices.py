@@ -23,7 +23,7 @@ from jax.sharding import Mesh
 import pcm_jax
 from pcm_jax.clique import maximum_clique_batched
 from pcm_jax.errors import InputError
-from pcm_jax.evaluation.sweep import Grid, Numbers, Shape, outcomes_of
+from pcm_jax.experiments.sweep import Grid, Numbers, Shape, outcomes_of
 from pcm_jax.simulation import simulate_chains
 
 PATIENCE = 240  # seconds, of a machine that is busy

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcm_jax import InputError, MultiRobotGraph, PoseGraph, lie, optimize, read_graph, split
-from pcm_jax.precision import device_array
+from pcm_jax.arrays import device_array
 from pcm_jax.simulation import SimulatedWorld, add_clutter, simulate_city
 
 NOISE = np.diag([0.02**2, 0.02**2, 0.01**2])

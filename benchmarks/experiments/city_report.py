@@ -11,8 +11,9 @@ import numpy as np
 
 from benchmarks.experiments.record import write_csv
 from benchmarks.suite.harness import write_json
-from pcm_jax.evaluation import Compared, Method, comparison_table
-from pcm_jax.evaluation.comparison import REFERENCE
+from pcm_jax.evaluation import comparison_table
+from pcm_jax.experiments import Compared, Method
+from pcm_jax.experiments.comparison import REFERENCE
 
 IN_THE_PAPER: dict[str, dict[str, float]] = {
     "dcs": {"tpr": 0.0, "fpr": 0.0, "translation_mse": 183_078.0},
@@ -143,7 +144,7 @@ def _spread(of_method: Mapping[str, np.ndarray], gate: int) -> dict[str, float]:
 
 
 def _draw_sweep(path: Path, values: Mapping[str, Mapping[str, np.ndarray]]) -> None:
-    from pcm_jax.evaluation.plots import plot_threshold_sweeps
+    from pcm_jax.plots import plot_threshold_sweeps
 
     panels = {
         label: {name: of_method[figure] for name, of_method in values.items()}
@@ -166,7 +167,7 @@ def telling(runs: Mapping[str, Run]) -> str:
 
 def draw_maps(path: Path, closures: Any, inliers: Any, results: Mapping[str, Compared]) -> None:
     """Fig. 5: where each method leaves the two maps, and what it accepted."""
-    from pcm_jax.evaluation.plots import plot_comparison
+    from pcm_jax.plots import plot_comparison
 
     panels = {title: (results[name].maps, results[name].accepted) for title, name in MAPS.items()}
     _save(plot_comparison(panels, closures, inliers=inliers)[0].figure, path)

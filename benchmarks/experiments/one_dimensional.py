@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pcm_jax.arrays import on_host
 from pcm_jax.consistency import chi2_gate
-from pcm_jax.precision import in_float64
 from pcm_jax.simulation import OneDimensionalWorlds, simulate_one_dimensional
 
 METHODS = ("combinatorial", "pcm-exact", "pcm-heuristic", "ransac", "scgp")
@@ -71,7 +71,7 @@ PLAUSIBLE = Setting(10, 5, 10, 8.0, 20.0, 2.0, 0.99)
 SETTINGS = {"tuned": TUNED, "plausible": PLAUSIBLE}
 
 
-@in_float64
+@on_host
 def select_timed(
     method: str, squared: Float[np.ndarray, "w m m"], gate: float
 ) -> tuple[Bool[np.ndarray, "w m"], float]:
@@ -84,7 +84,7 @@ def select_timed(
 
 @lru_cache
 def _compiled(method: str, shape: tuple[int, ...]) -> Any:
-    """Called within `in_float64` only, so that the precision is no part of the key."""
+    """Called within `on_host` only, so that the precision is no part of the key."""
     import jax
 
     from pcm_jax.selection import select_batched

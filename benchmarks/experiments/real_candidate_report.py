@@ -13,7 +13,7 @@ from benchmarks.experiments.record import write_csv
 from benchmarks.suite.harness import write_json
 from pcm_jax import LoopClosures, lie
 from pcm_jax.evaluation import aligned, comparison_table
-from pcm_jax.evaluation.comparison import REFERENCE
+from pcm_jax.experiments.comparison import REFERENCE
 
 FIGURES = ("precision", "recall", "fpr", "merged", "ate_rmse", "chi2", "accepted", "seconds")
 SHOWN = ("scgp", "ransac-3.5", "ransac-99", "pcm-exact-11", "pcm-exact-99", "clipper", "gnc")
@@ -146,7 +146,7 @@ def _draw_one_robot(drawn: Picture) -> Any:
     """The trajectory in four versions, each laid over the truth; candidates in the last."""
     from matplotlib import pyplot
 
-    from pcm_jax.evaluation import plot_style as style
+    from pcm_jax.plots import style
 
     figure = pyplot.figure(figsize=(12.0, 3.7), layout="constrained")
     axes = figure.subplots(1, len(drawn.trajectories))
@@ -178,7 +178,7 @@ def _draw_one_robot(drawn: Picture) -> Any:
 
 
 def _draw_candidates(ax: Any, place: np.ndarray, drawn: Picture) -> None:
-    from pcm_jax.evaluation.map_plots import closure_kinds
+    from pcm_jax.plots.maps import closure_kinds
 
     for kind, rows in closure_kinds(len(drawn.right), drawn.accepted, drawn.right).items():
         ends = place[drawn.ends[:, rows]]
@@ -189,14 +189,14 @@ def _draw_candidates(ax: Any, place: np.ndarray, drawn: Picture) -> None:
 
 
 def _draw_two_robots(drawn: Picture) -> Any:
-    from pcm_jax.evaluation.plots import plot_comparison
+    from pcm_jax.plots import plot_comparison
 
     axes = plot_comparison(drawn.sessions, drawn.closures, inliers=drawn.right_across)
     return axes[0].figure
 
 
 def _draw_rates(runs: Sequence[Mapping[str, Any]]) -> Any:
-    from pcm_jax.evaluation.plots import plot_precision_recall
+    from pcm_jax.plots import plot_precision_recall
 
     rows = {"two-robots": SHOWN, "two-robots-cleaned": ("pcm-exact-99", "ransac-99")}
     scores = {}
@@ -212,7 +212,7 @@ def _draw_rates(runs: Sequence[Mapping[str, Any]]) -> Any:
 
 
 def _draw_sweep(rows: Sequence[Mapping[str, Any]]) -> Any:
-    from pcm_jax.evaluation.plots import plot_threshold_sweeps
+    from pcm_jax.plots import plot_threshold_sweeps
 
     methods = dict.fromkeys(row["method"] for row in rows)
     factors = np.unique([row["factor"] for row in rows])

@@ -18,8 +18,18 @@ from benchmarks.suite.harness import write_json
 PACKAGE = Path(__file__).resolve().parents[2] / "pcm_jax"
 LIBRARY = [
     PACKAGE / layer
-    for layer in ("lie", "graph", "mapping", "consistency", "clique", "selection", "merging")
-] + [PACKAGE / "simulation", PACKAGE / "evaluation" / "comparison.py"]
+    for layer in (
+        "lie",
+        "graph",
+        "sparse",
+        "mapping",
+        "consistency",
+        "clique",
+        "selection",
+        "merging",
+        "pipeline",
+    )
+] + [PACKAGE / "simulation", PACKAGE / "experiments" / "comparison.py"]
 """What the results of every comparison of methods depend on."""
 
 Figures = Mapping[str, float]

@@ -136,7 +136,7 @@ def draw_timing(results: Mapping[int, Timed], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    from pcm_jax.evaluation.plots import plot_seconds
+    from pcm_jax.plots import plot_seconds
 
     figure, axes = pyplot.subplots(2, 1, figsize=(7.0, 9.0), dpi=110, layout="constrained")
     sizes, small = np.array(list(results)), [s for s in results if s <= BATCHED_UP_TO]

@@ -28,9 +28,9 @@ from benchmarks.suite.measure import (
     timing_of,
 )
 from pcm_jax import InputError, PoseGraph, lie, optimize
-from pcm_jax.mapping.assembly import plan_for
 from pcm_jax.mapping.initialization import chordal_poses
 from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.sparse.assembly import plan_for
 
 COSTS = {
     "intel": 22.502117,

@@ -20,7 +20,7 @@ from benchmarks.suite import maps
 from benchmarks.suite.harness import Case, Measured, Metric, Settings
 from benchmarks.suite.measure import in_words, seconds_of
 from pcm_jax import InputError, MultiRobotGraph, merge, optimize, split
-from pcm_jax.mapping import assembly
+from pcm_jax.sparse import assembly
 
 SECONDS = {"blocks": 0.25, "cholmod": 0.1}
 """Of each merge on 10,000 poses, by engine."""

@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from pcm_jax.cli import outputs
-from pcm_jax.cli.arguments import DEMO_PICTURE
-from pcm_jax.cli.progress import Progress
-from pcm_jax.cli.table import table
+from pcm_jax.cli import _outputs as outputs
+from pcm_jax.cli._arguments import DEMO_PICTURE
+from pcm_jax.cli._progress import Progress
+from pcm_jax.cli._table import table
 from pcm_jax.errors import InputWarning
 from pcm_jax.evaluation import ate_rmse
 from pcm_jax.files.output import check_target
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import optimize
-from pcm_jax.merging import MergeResult, merge
+from pcm_jax.merging import MergeResult
+from pcm_jax.pipeline import merge
 from pcm_jax.simulation import SimulatedWorld, simulate_city
 
 HEAD = "method", "accepted", "true", "false", "ATE RMSE (m)", "seconds", "compiling", "solver"
@@ -94,7 +95,7 @@ def comparison(world: SimulatedWorld, outcomes: dict[str, Outcome]) -> str:
 
 def draw(world: SimulatedWorld, outcomes: dict[str, Outcome], path: Path) -> None:
     """Saves the true maps, and both merged ones, side by side."""
-    from pcm_jax.evaluation.plots import plot_comparison
+    from pcm_jax.plots import plot_comparison
 
     panels: dict[str, Any] = {"Ground truth": (world.truth, None)}
     for name in (EVERYTHING, PCM):

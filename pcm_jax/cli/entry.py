@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from pcm_jax.cli.arguments import parser
+from pcm_jax.cli._arguments import parser
 from pcm_jax.errors import InputError, InputWarning
 
 BAD_INPUT = 2

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.cli._progress import Progress
+from pcm_jax.cli._table import table
 from pcm_jax.cli.merge import TOO_GOOD
-from pcm_jax.cli.progress import Progress
-from pcm_jax.cli.table import table
 from pcm_jax.files import read_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
 from pcm_jax.merging.groups import robot_groups

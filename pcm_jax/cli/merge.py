@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from pcm_jax.cli import outputs
-from pcm_jax.cli.progress import Progress
-from pcm_jax.cli.table import table
+from pcm_jax.cli import _outputs as outputs
+from pcm_jax.cli._progress import Progress
+from pcm_jax.cli._table import table
 
 TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
 
@@ -33,8 +33,8 @@ def _check_outputs(options: Any) -> None:
 
 
 def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
-    from pcm_jax.cli.inputs import graph_to_merge
-    from pcm_jax.merging import merge
+    from pcm_jax.cli._inputs import graph_to_merge
+    from pcm_jax.pipeline import merge
 
     start = time.perf_counter()
     graph = graph_to_merge(options)

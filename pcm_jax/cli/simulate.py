@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pcm_jax.cli.outputs import json_text
+from pcm_jax.cli._outputs import json_text
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import write_candidates, write_g2o, write_trajectory
 from pcm_jax.files.output import check_target, write_text

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt
 
-from pcm_jax.clique.words import count, first, last, pack, precedes, single, some, unpack
+from pcm_jax.clique._words import count, first, last, pack, precedes, single, some, unpack
 from pcm_jax.errors import InputError
 
 # Fewer spread the cost of calling a kernel over too few, more leave the second-level cache.

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax.clique.adjacency import adjacency_matrix
-from pcm_jax.clique.bounds import core, degrees
-from pcm_jax.clique.exact import BitGraph, largest_clique
-from pcm_jax.clique.heuristic import greedy_clique
-from pcm_jax.clique.local_search import improved_clique
+from pcm_jax.clique._adjacency import adjacency_matrix
+from pcm_jax.clique._bounds import core, degrees
+from pcm_jax.clique._exact import BitGraph, largest_clique
+from pcm_jax.clique._heuristic import greedy_clique
+from pcm_jax.clique._local_search import improved_clique
+from pcm_jax.clique._ties import smallest_by_index, smallest_by_total
 from pcm_jax.clique.result import Clique
-from pcm_jax.clique.ties import smallest_by_index, smallest_by_total
 from pcm_jax.errors import InputError
 
 if TYPE_CHECKING:

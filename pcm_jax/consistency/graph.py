@@ -9,8 +9,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
-from pcm_jax.precision import device_array
 
 if TYPE_CHECKING:
     import networkx as nx

@@ -15,12 +15,12 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from pcm_jax import lie
-from pcm_jax.consistency.closed_form import closed_form_kernel, closed_form_rows, own_loop_kernel
+from pcm_jax.arrays import device_array
+from pcm_jax.consistency._closed_form import closed_form_kernel, closed_form_rows, own_loop_kernel
 from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError
-from pcm_jax.precision import device_array
 
 Problem = ConsistencyProblem | WithinProblem
 

@@ -21,10 +21,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax import lie, padding
+from pcm_jax import lie
+from pcm_jax.arrays import bucket, device_array, on_host, pad_leading, shareable_zeros
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.lie import unrolled
-from pcm_jax.precision import device_array, in_float64, shareable_zeros
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
@@ -69,7 +69,7 @@ class ConsistencyProblem:
     relative_covariance_b: Float[Array, "packed kb kb"]
     valid: Bool[Array, " m"]
 
-    @in_float64
+    @on_host
     def astype(self, dtype: Any) -> ConsistencyProblem:
         """The same problem in another precision, which all that is computed of it then has.
 
@@ -95,7 +95,7 @@ class ConsistencyProblem:
 
 
 def _warn_of_rounding(problem: ConsistencyProblem) -> None:
-    from pcm_jax.consistency.single_precision import TOLERANCE, single_precision_error
+    from pcm_jax.consistency._single_precision import TOLERANCE, single_precision_error
 
     error = single_precision_error(problem)
     if error > TOLERANCE:
@@ -108,7 +108,7 @@ def _warn_of_rounding(problem: ConsistencyProblem) -> None:
         )
 
 
-@in_float64
+@on_host
 def consistency_problem(
     map_a: PoseGraph,
     map_b: PoseGraph,
@@ -153,11 +153,11 @@ def consistency_problem(
         covariance = np.broadcast_to(np.eye(d), (size, d, d))
     return ConsistencyProblem(
         measurement=padded(lie.as_numpy(closures.measurement), size),
-        measurement_covariance=device_array(padding.pad_leading(covariance, size)),
+        measurement_covariance=device_array(pad_leading(covariance, size)),
         pose_a=padded(a.poses, size),
         pose_b=padded(b.poses, size),
-        row_a=device_array(padding.pad_leading(a.rows, size), np.int32),
-        row_b=device_array(padding.pad_leading(b.rows, size), np.int32),
+        row_a=device_array(pad_leading(a.rows, size), np.int32),
+        row_b=device_array(pad_leading(b.rows, size), np.int32),
         relative_covariance_a=device_array(a.relative_covariance),
         relative_covariance_b=device_array(b.relative_covariance),
         valid=device_array(np.arange(size) < count, np.bool_),
@@ -206,7 +206,7 @@ def bytes_needed(closures: LoopClosures) -> float:
 def padded_size(rows: int, *, closures: int) -> int:
     """Padded length of closures or of touched poses: one size for both while that is cheap."""
     rows = max(rows, min(closures, FINE_ABOVE))
-    return padding.bucket(rows, smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
+    return bucket(rows, smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
 def recentred(poses: Any, about: Any = slice(None)) -> Any:

@@ -32,12 +32,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from pcm_jax import lie, padding
-from pcm_jax.consistency.closed_form import gather, per_closure, weigh
+from pcm_jax import lie
+from pcm_jax.arrays import device_array, on_host, pad_leading, shareable_zeros
+from pcm_jax.consistency._closed_form import gather, per_closure, weigh
 from pcm_jax.consistency.problem import check_pair, padded, recentred
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
-from pcm_jax.precision import device_array, in_float64, shareable_zeros
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
@@ -72,7 +72,7 @@ class PackedGraph(NamedTuple):
         return np.bitwise_count(self.bits).sum(axis=1, dtype=np.int64)
 
 
-@in_float64
+@on_host
 def stream_consistency_graph(
     map_a: PoseGraph,
     map_b: PoseGraph,
@@ -240,8 +240,8 @@ class _Side:
     """
 
     def __init__(self, pose_graph: PoseGraph, touching: Int[np.ndarray, " m"], width: int):
-        from pcm_jax.mapping.inverse_block import inverse_diagonal
         from pcm_jax.mapping.marginals import covariance_factor
+        from pcm_jax.sparse.inverse import inverse_diagonal
 
         touched, from_end, index = np.unique(touching[::-1], return_index=True, return_inverse=True)
         by_last_use = np.argsort(-from_end)
@@ -261,12 +261,12 @@ class _Side:
 
     def columns(self, panel: Panel) -> _Columns:
         """What the panel's pairs need of this map, on the device."""
-        from pcm_jax.mapping.inverse_block import inverse_columns
+        from pcm_jax.sparse.inverse import inverse_columns
 
         rows, column = np.unique(self.row[panel.start : panel.stop], return_inverse=True)
         right = self._adjoint_if_free[rows].swapaxes(1, 2)
         solution = inverse_columns(self._factor, self._touched[rows], right)
-        column = padding.pad_leading(column, self._width)
+        column = pad_leading(column, self._width)
         first = int(self.row[panel.start :].min())
         packed = self._relative_covariance(solution, rows, first)
         return _Columns(device_array(packed), device_array(column, np.int32))
@@ -301,11 +301,11 @@ def _on_device(closures: LoopClosures, side_a: _Side, side_b: _Side, size: int) 
     covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
     given = _Closures(
         padded(lie.as_numpy(closures.measurement), size),
-        device_array(padding.pad_leading(covariance, size)),
+        device_array(pad_leading(covariance, size)),
         padded(side_a.poses, size),
         padded(side_b.poses, size),
     )
-    rows = (padding.pad_leading(side.row, size) for side in (side_a, side_b))
+    rows = (pad_leading(side.row, size) for side in (side_a, side_b))
     return _Placed(*jax.jit(per_closure)(given), *(device_array(row, np.int32) for row in rows))
 
 

@@ -26,11 +26,11 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax import lie, padding
+from pcm_jax import lie
+from pcm_jax.arrays import device_array, on_host, pad_leading
 from pcm_jax.consistency.problem import padded, padded_size, recentred
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
-from pcm_jax.precision import device_array, in_float64
 
 if TYPE_CHECKING:
     from pcm_jax.graph import PoseGraph
@@ -67,7 +67,7 @@ class WithinProblem:
     valid: Bool[Array, " m"]
 
 
-@in_float64
+@on_host
 def within_problem(pose_graph: PoseGraph) -> WithinProblem:
     """Gathers what Q needs of the loop closures inside one map: all edges but its odometry.
 
@@ -93,14 +93,14 @@ def within_problem(pose_graph: PoseGraph) -> WithinProblem:
     poses, cumulated = _chain(pose_graph, odometry, touched)
     count = len(start)
     size = padded_size(count, closures=count)
-    cumulated = padding.pad_leading(cumulated, padded_size(len(touched), closures=count))
+    cumulated = pad_leading(cumulated, padded_size(len(touched), closures=count))
     return WithinProblem(
         measurement=padded(measurement, size),
-        measurement_covariance=device_array(padding.pad_leading(covariance, size)),
+        measurement_covariance=device_array(pad_leading(covariance, size)),
         pose_a=padded(lie.take(poses, rows[0]), size),
         pose_b=padded(lie.take(poses, rows[1]), size),
-        row_a=device_array(padding.pad_leading(rows[0], size), np.int32),
-        row_b=device_array(padding.pad_leading(rows[1], size), np.int32),
+        row_a=device_array(pad_leading(rows[0], size), np.int32),
+        row_b=device_array(pad_leading(rows[1], size), np.int32),
         cumulated_covariance=device_array(cumulated.T),
         valid=device_array(np.arange(size) < count, np.bool_),
     )

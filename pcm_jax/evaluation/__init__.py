@@ -1,13 +1,9 @@
-"""How good a result is, and what it looks like.
+"""How good a result is: rates of closures, errors of maps and trajectories, and their tables.
 
-metrics      rates, map errors, trajectory errors
-comparison   every method on the same maps, closures and Q
-tables       the comparison as text
-sweep        every method at every gate on thousands of simulated worlds, to Parquet files
-plots        every picture; needs matplotlib
+metrics   rates, map errors, trajectory errors
+tables    figures by method as text
 """
 
-from pcm_jax.evaluation.comparison import Compared, Method, compare_methods, mean_figures
 from pcm_jax.evaluation.metrics import (
     PoseError,
     aligned,
@@ -22,26 +18,20 @@ from pcm_jax.evaluation.metrics import (
     translation_mse,
     true_positive_rate,
 )
-from pcm_jax.evaluation.sweep import sweep
 from pcm_jax.evaluation.tables import comparison_table
 
 __all__ = [
-    "Compared",
-    "Method",
     "PoseError",
     "aligned",
     "ate_rmse",
-    "compare_methods",
     "comparison_table",
     "false_positive_rate",
-    "mean_figures",
     "normalized_chi2",
     "pose_error",
     "precision",
     "relative_map_pose_error",
     "relative_pose_error",
     "rotation_mse",
-    "sweep",
     "translation_mse",
     "true_positive_rate",
 ]

@@ -19,8 +19,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from pcm_jax import lie
+from pcm_jax.arrays import namespace
 from pcm_jax.errors import InputError
-from pcm_jax.lie.angle import namespace
 
 Scalar = Float[Array, ""]
 

@@ -14,7 +14,7 @@ from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import coordinates
 from pcm_jax.files.output import write_text
 from pcm_jax.files.text import read_lines, table_rows
-from pcm_jax.graph import arrays
+from pcm_jax.graph import checked
 from pcm_jax.graph.pose_graph import PoseGraph
 
 COLUMNS = "timestamp x y z qx qy qz qw"
@@ -77,7 +77,7 @@ def write_trajectory(path: str | PathLike[str], poses: Any, *, timestamps: Any =
         FileFormatError: for a folder that does not exist or cannot be written to.
     """
     given = poses.poses if isinstance(poses, PoseGraph) else poses
-    parameters = np.asarray(lie.parameters(arrays.as_transforms(given, "poses")))
+    parameters = np.asarray(lie.parameters(checked.as_transforms(given, "poses")))
     if parameters.shape[1] == 4:
         parameters = _in_space(parameters)
     count = len(parameters)

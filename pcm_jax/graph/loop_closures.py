@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
-from pcm_jax.graph import arrays, symbols, validation
-from pcm_jax.graph.arrays import batch_size
+from pcm_jax.graph import checked, symbols, validation
+from pcm_jax.graph.checked import batch_size
 from pcm_jax.graph.validation import argument_fault
-from pcm_jax.precision import device_array
 
 if TYPE_CHECKING:
     from pcm_jax.graph.pose_graph import PoseGraph
@@ -162,7 +162,7 @@ class LoopClosures:
             InputError: for a wrong shape, a number that is not finite, a negative index, a closure
                 from a robot to itself, information that is not symmetric and positive definite.
         """
-        edges = arrays.as_transforms(measurement, "measurement")
+        edges = checked.as_transforms(measurement, "measurement")
         count = len(lie.parameters(edges))
         given = {"robot_a": robot_a, "pose_a": pose_a, "robot_b": robot_b, "pose_b": pose_b}
         ends = []
@@ -179,8 +179,8 @@ class LoopClosures:
             argument_fault("robot_b"),
             lambda row: f"closure from robot {ends[0][row]} to itself, expected two robots",
         )
-        matrices = arrays.as_information(information, covariance, edges, tangent_order)
-        return cls.from_checked(tuple(ends), edges, matrices, arrays.as_names(source, count))
+        matrices = checked.as_information(information, covariance, edges, tangent_order)
+        return cls.from_checked(tuple(ends), edges, matrices, checked.as_names(source, count))
 
     @classmethod
     def from_ids(

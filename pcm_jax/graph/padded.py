@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
-from pcm_jax.precision import device_array
 
 
 def pad_graph(graph: MultiRobotGraph, *, poses: int, edges: int, closures: int) -> MultiRobotGraph:

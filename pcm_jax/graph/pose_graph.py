@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
-from pcm_jax.graph import arrays, symbols, validation
-from pcm_jax.graph.arrays import batch_size
+from pcm_jax.graph import checked, symbols, validation
+from pcm_jax.graph.checked import batch_size
 from pcm_jax.graph.spanning_tree import check_connected, spanning_tree_poses
 from pcm_jax.graph.validation import argument_fault
-from pcm_jax.precision import device_array
 
 TRACED = ("poses", "tail", "head", "measurement", "information")
 
@@ -134,13 +134,13 @@ class PoseGraph:
         Warns:
             InputWarning: for quaternions further than 1e-3 from unit length, which are scaled.
         """
-        edges = arrays.as_transforms(measurement, "measurement")
+        edges = checked.as_transforms(measurement, "measurement")
         given = None if poses is None else _poses_like(edges, poses)
         n = None if given is None else len(lie.parameters(given))
         tail, head = as_edges(tail, head, n, len(lie.parameters(edges)))
         n = n or 1 + int(max(tail.max(initial=0), head.max(initial=0)))
-        matrices = arrays.as_information(information, covariance, edges, tangent_order)
-        ids = arrays.as_ids(ids, n)
+        matrices = checked.as_information(information, covariance, edges, tangent_order)
+        ids = checked.as_ids(ids, n)
         if given is None:
             given = spanning_tree_poses(tail, head, edges, n, prefer="odometry", ids=ids)
         else:
@@ -153,7 +153,7 @@ class PoseGraph:
             information=matrices,
             ids=ids,
             name=name,
-            source=arrays.as_names(source, len(tail)),
+            source=checked.as_names(source, len(tail)),
         )
 
     @classmethod
@@ -207,7 +207,7 @@ class PoseGraph:
         for argument, sigma in sigmas.items():
             if not (np.isfinite(sigma) and sigma > 0.0):
                 raise InputError(f"{argument}: {sigma} given, expected a positive number")
-        given = arrays.as_transforms(poses, "poses")
+        given = checked.as_transforms(poses, "poses")
         n, d = len(lie.parameters(given)), lie.tangent_dim(given)
         steps = lie.between(lie.take(given, slice(None, -1)), lie.take(given, slice(1, None)))
         translation = lie.module_of(lie.group_of(given)).MATRIX_DIM - 1
@@ -226,7 +226,7 @@ class PoseGraph:
 
 def _poses_like(edges: Any, poses: Any) -> Any:
     """The poses of `from_arrays`, of the group of its measurements."""
-    given = arrays.as_transforms(poses, "poses")
+    given = checked.as_transforms(poses, "poses")
     if lie.group_of(given) is not lie.group_of(edges):
         raise InputError(
             f"measurement: {lie.group_of(edges).__name__} given,"

@@ -8,7 +8,7 @@ Conventions: perturbations are on the right, `T exp(δ)`; a tangent vector is (t
 rotation), in metres and radians.
 """
 
-from pcm_jax.lie.real_line import R1
+from pcm_jax.lie.r1 import R1
 from pcm_jax.lie.transforms import (
     Group,
     Transform,

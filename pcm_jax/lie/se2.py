@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pcm_jax.lie import angle, unrolled
-from pcm_jax.lie.angle import namespace
+from pcm_jax.arrays import namespace
+from pcm_jax.lie import _angle as angle
+from pcm_jax.lie import unrolled
 
 PARAMETERS_DIM = 4
 TANGENT_DIM = 3

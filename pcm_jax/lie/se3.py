@@ -13,8 +13,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pcm_jax.lie import angle, unrolled
-from pcm_jax.lie.angle import namespace
+from pcm_jax.arrays import namespace
+from pcm_jax.lie import _angle as angle
+from pcm_jax.lie import unrolled
 from pcm_jax.lie.unrolled import cross
 
 PARAMETERS_DIM = 7

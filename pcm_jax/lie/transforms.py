@@ -22,12 +22,11 @@ import jaxlie
 import numpy as np
 from jaxtyping import Array, Float
 
-from pcm_jax import padding
+from pcm_jax import arrays
+from pcm_jax.arrays import device_array, namespace
 from pcm_jax.errors import InputError
 from pcm_jax.lie import r1, se2, se3, unrolled
-from pcm_jax.lie.angle import namespace
-from pcm_jax.lie.real_line import R1
-from pcm_jax.precision import device_array
+from pcm_jax.lie.r1 import R1
 
 Transform = TypeVar("Transform", bound=jaxlie.MatrixLieGroup)
 Group = type[Transform]
@@ -241,7 +240,7 @@ def pad_leading(transform: Transform, size: int) -> Transform:
     values = np.asarray(parameters(transform))
     if len(values) == 0:
         return identity(group_of(transform), (size, *values.shape[1:-1]))
-    return group_of(transform)(padding.pad_leading(values, size))  # type: ignore[call-arg]
+    return group_of(transform)(arrays.pad_leading(values, size))  # type: ignore[call-arg]
 
 
 def as_numpy(transform: Transform) -> Transform:

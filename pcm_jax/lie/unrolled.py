@@ -12,7 +12,7 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-from pcm_jax.lie.angle import namespace
+from pcm_jax.arrays import namespace
 
 Vector = Sequence[Any]
 Matrix = Sequence[Sequence[Any]]

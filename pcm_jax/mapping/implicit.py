@@ -29,9 +29,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.lie import unrolled
-from pcm_jax.mapping.cholesky import NotPositiveDefiniteError
-from pcm_jax.mapping.least_squares import ATOL, MAX_STEPS, RTOL
-from pcm_jax.mapping.linearization import (
+from pcm_jax.mapping._linearization import (
     Edges,
     apart,
     multiply,
@@ -39,7 +37,9 @@ from pcm_jax.mapping.linearization import (
     slopes,
     whitened_residual,
 )
-from pcm_jax.mapping.normal_equations import BlockCholesky, System, system_for, system_of
+from pcm_jax.mapping._normal_equations import BlockCholesky, System, system_for, system_of
+from pcm_jax.mapping.least_squares import ATOL, MAX_STEPS, RTOL
+from pcm_jax.sparse.cholesky import NotPositiveDefiniteError
 
 MOST_PATTERNS = 1024
 """Patterns that one batch may hold, so that none is forgotten between naming it and using it."""
@@ -137,7 +137,7 @@ def optimum(method: str, pattern: Pattern, start: Any, data: Data) -> tuple[Any,
     """
     import optimistix as optx
 
-    from pcm_jax.mapping import gauss_newton
+    from pcm_jax.mapping import _gauss_newton as gauss_newton
 
     make = {
         "gauss-newton": gauss_newton.gauss_newton,

@@ -15,11 +15,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import bucket, on_host
 from pcm_jax.errors import InputError
-from pcm_jax.mapping.cholesky import free_spare_memory
-from pcm_jax.mapping.linearization import Edges, whitened_residual, whitening_of
-from pcm_jax.padding import bucket
-from pcm_jax.precision import in_float64
+from pcm_jax.mapping._linearization import Edges, whitened_residual, whitening_of
+from pcm_jax.sparse.cholesky import free_spare_memory
 
 METHODS = ("gauss-newton", "levenberg-marquardt")
 ENGINES = ("blocks", "cholmod")
@@ -95,7 +94,7 @@ class PoseProblem:
         information: Float[np.ndarray, "e d d"],
         fixed: Bool[np.ndarray, " n"],
     ):
-        from pcm_jax.mapping.normal_equations import system_for
+        from pcm_jax.mapping._normal_equations import system_for
 
         tail, head, held = np.asarray(tail), np.asarray(head), np.asarray(fixed)
         self._poses, self._edges = len(held), len(tail)
@@ -105,7 +104,7 @@ class PoseProblem:
         self._free = np.pad(~held, (0, self._size - self._poses))
         self._padded = padded_edges(tail, head, measurement, information, size=size)
 
-    @in_float64
+    @on_host
     def solve(
         self,
         poses: Any,
@@ -130,7 +129,7 @@ class PoseProblem:
         Raises:
             InputError: an unknown name, or an engine that is not installed.
         """
-        from pcm_jax.mapping.gauss_newton import Problem
+        from pcm_jax.mapping._gauss_newton import Problem
 
         check_names(method, engine)
         arrays: Any = self._free, np.asarray(self._system.handle), np.asarray(max_steps)
@@ -179,7 +178,8 @@ def _compiled(method: str, engine: str, rtol: float, atol: float) -> Any:
     """The whole solve as one compiled program per padded size."""
     import optimistix as optx
 
-    from pcm_jax.mapping import gauss_newton, normal_equations
+    from pcm_jax.mapping import _gauss_newton as gauss_newton
+    from pcm_jax.mapping import _normal_equations as normal_equations
 
     engines = {"blocks": normal_equations.BlockCholesky, "cholmod": normal_equations.Cholmod}
     make = {

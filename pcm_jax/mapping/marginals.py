@@ -15,17 +15,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
-from pcm_jax.mapping.cholesky import CholeskyFactor, NotPositiveDefiniteError
-from pcm_jax.mapping.inverse_block import inverse_block
+from pcm_jax.mapping._normal_equations import system_for
 from pcm_jax.mapping.least_squares import padded_edges, padded_size
-from pcm_jax.mapping.normal_equations import system_for
 from pcm_jax.mapping.optimization import host_arrays
-from pcm_jax.precision import in_float64
+from pcm_jax.sparse.cholesky import CholeskyFactor, NotPositiveDefiniteError
+from pcm_jax.sparse.inverse import inverse_block
 
 
-@in_float64
+@on_host
 def joint_marginal_covariance(
     pose_graph: PoseGraph, poses: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k*d k*d"]:
@@ -101,8 +101,8 @@ def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
 
 @functools.cache
 def _compiled_products() -> Any:
-    from pcm_jax.mapping.linearization import apart, linearize
-    from pcm_jax.mapping.normal_equations import edge_products
+    from pcm_jax.mapping._linearization import apart, linearize
+    from pcm_jax.mapping._normal_equations import edge_products
 
     @jax.jit
     def edge_information(poses: Any, edges: Any) -> Any:

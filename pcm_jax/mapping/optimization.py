@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
 from pcm_jax.mapping.initialization import chordal_poses
 from pcm_jax.mapping.least_squares import MAX_STEPS, PoseProblem, check_names
-from pcm_jax.precision import in_float64
 
 INITIAL = ("chordal", "spanning-tree", "given")
 
@@ -37,7 +37,7 @@ class Solution:
     converged: bool
 
 
-@in_float64
+@on_host
 def optimize(
     pose_graph: PoseGraph,
     *,

@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution, optimize
 from pcm_jax.mapping.least_squares import PoseProblem
 from pcm_jax.mapping.optimization import host_arrays
-from pcm_jax.precision import device_array
 
 PATIENCE = 15
 """Evaluations of each attempt by Gauss-Newton: consistent closures need fewer than ten."""

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pcm_jax import lie
+from pcm_jax.arrays import on_host
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import joint_marginal_covariance
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
-from pcm_jax.merging.robust import RobustSolution
-from pcm_jax.precision import in_float64
+from pcm_jax.merging.robust.solve import RobustSolution
 from pcm_jax.selection import Selection
 
 POSE_FIELDS = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "qx", "qy", "qz", "qw")}
@@ -124,7 +124,7 @@ class MergeResult:
         Returns:
             The axes.
         """
-        from pcm_jax.evaluation.plots import plot_merge
+        from pcm_jax.plots import plot_merge
 
         return plot_merge(self, ax, truth=truth)
 
@@ -181,7 +181,7 @@ def _pose_fields(pose: Any) -> dict[str, float]:
     return dict(zip(POSE_FIELDS[lie.tangent_dim(pose)], values, strict=True))
 
 
-@in_float64
+@on_host
 def _anchor_covariance(result: MergeResult) -> np.ndarray:
     """`T = P X⁻¹` with X held: a perturbation of P on the right is `Ad(X) δ` of T's."""
     graph = result.graph

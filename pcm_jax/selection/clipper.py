@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pcm_jax.selection._distances import consistent_pairs, symmetrised
 from pcm_jax.selection.choice import Choice
-from pcm_jax.selection.distances import consistent_pairs, symmetrised
 
 MOST_PENALTIES = 100
 MOST_STEPS = 1_000

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax.errors import InputError
+from pcm_jax.selection._distances import consistent_pairs
 from pcm_jax.selection.choice import Choice
-from pcm_jax.selection.distances import consistent_pairs
 
 LARGEST = 24
 

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 
 from pcm_jax.clique import Clique, maximum_clique
 from pcm_jax.errors import InputError
+from pcm_jax.selection._distances import consistent_pairs
 from pcm_jax.selection.choice import Choice
-from pcm_jax.selection.distances import consistent_pairs
 
 TIE_BREAKS = ("index", "distance")
 

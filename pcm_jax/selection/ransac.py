@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from pcm_jax.selection._distances import symmetrised
 from pcm_jax.selection.choice import Choice
-from pcm_jax.selection.distances import symmetrised
 
 
 def ransac(squared: Float[np.ndarray, "m m"], gate: float) -> Choice:

@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax.errors import InputError
+from pcm_jax.selection._distances import symmetrised
 from pcm_jax.selection.choice import Choice
-from pcm_jax.selection.distances import symmetrised
 
 
 def _gaussian(squared: np.ndarray, gate: float) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
     chi2_gate,
     odometry_edges,
@@ -27,7 +28,6 @@ from pcm_jax.consistency import (
 )
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.precision import in_float64
 from pcm_jax.selection.methods import ALL_METHODS, check_method, choose
 
 TIME_LIMIT = 60.0  # seconds
@@ -65,7 +65,7 @@ class WithinSelection:
     seconds: dict[str, float]
 
 
-@in_float64
+@on_host
 def select_within(
     pose_graph: PoseGraph,
     *,

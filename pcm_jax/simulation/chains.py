@@ -34,9 +34,9 @@ from pcm_jax import lie
 from pcm_jax.consistency import ConsistencyProblem
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
+from pcm_jax.simulation._town import crossings_left, index_below, town_drive
 from pcm_jax.simulation.measurements import space_dim
 from pcm_jax.simulation.outliers import ALIAS_DRAWS, ALIAS_SEPARATION, RANDOM_LABEL
-from pcm_jax.simulation.town import crossings_left, index_below, town_drive
 from pcm_jax.simulation.world import require_at_least, require_positive
 
 # Poses looked at for each closure wanted: in the default town all closures are then within reach.

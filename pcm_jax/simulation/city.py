@@ -15,8 +15,8 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.simulation._streets import block_poses, drive
 from pcm_jax.simulation.measurements import diagonal_covariance
-from pcm_jax.simulation.streets import block_poses, drive
 from pcm_jax.simulation.world import (
     SimulatedWorld,
     drive_and_measure,

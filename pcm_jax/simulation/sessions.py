@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax import lie
+from pcm_jax.simulation._streets import drive
 from pcm_jax.simulation.measurements import diagonal_covariance
-from pcm_jax.simulation.streets import drive
 from pcm_jax.simulation.world import (
     SimulatedWorld,
     drive_and_measure,

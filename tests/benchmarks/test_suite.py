@@ -15,7 +15,7 @@ from benchmarks.suite import gtsam_peer, maps, memory, optimization
 from benchmarks.suite.harness import ROOT, Measured, Settings, chosen
 from benchmarks.suite.random_worlds import moved, random_closures, random_map
 from pcm_jax import lie, optimize
-from pcm_jax.precision import device_array
+from pcm_jax.arrays import device_array
 
 
 def test_every_metric_has_one_name_and_its_subject_s():

@@ -8,8 +8,9 @@ import time
 import pytest
 
 import pcm_jax
-from pcm_jax.cli import inspect, main, progress
-from pcm_jax.cli.table import table
+from pcm_jax.cli import _progress as progress
+from pcm_jax.cli import inspect, main
+from pcm_jax.cli._table import table
 from pcm_jax.files import read_graph
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import pcm_jax
 from pcm_jax import lie
-from pcm_jax.cli.outputs import json_text
+from pcm_jax.cli._outputs import json_text
 from pcm_jax.evaluation import ate_rmse
 from pcm_jax.files import read_graph, read_tum
 from pcm_jax.simulation import simulate_city

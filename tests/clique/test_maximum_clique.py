@@ -22,10 +22,11 @@ from sample_graphs import (
 )
 
 import pcm_jax.clique.maximum as entrance
-from pcm_jax.clique import exact, maximum_clique
-from pcm_jax.clique.exact import BitGraph
-from pcm_jax.clique.heuristic import _greedy_from, greedy_clique
-from pcm_jax.clique.local_search import improved_clique
+from pcm_jax.clique import _exact as exact
+from pcm_jax.clique import maximum_clique
+from pcm_jax.clique._exact import BitGraph
+from pcm_jax.clique._heuristic import _greedy_from, greedy_clique
+from pcm_jax.clique._local_search import improved_clique
 from pcm_jax.errors import InputError
 
 

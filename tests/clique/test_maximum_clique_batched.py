@@ -12,7 +12,7 @@ import pytest
 from sample_graphs import complete_multipartite, is_clique, planted_graph, random_graph
 
 from pcm_jax.clique import batched, maximum_clique, maximum_clique_batched
-from pcm_jax.clique.words import first, last, pack, precedes, single, unpack
+from pcm_jax.clique._words import first, last, pack, precedes, single, unpack
 from pcm_jax.errors import InputError
 
 search = jax.jit(maximum_clique_batched)

@@ -9,7 +9,7 @@ import pytest
 
 from pcm_jax import lie
 from pcm_jax.consistency import consistency_problem, squared_mahalanobis
-from pcm_jax.consistency.single_precision import TOLERANCE, single_precision_error
+from pcm_jax.consistency._single_precision import TOLERANCE, single_precision_error
 from pcm_jax.errors import InputError, InputWarning
 
 

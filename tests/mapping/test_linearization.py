@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.mapping._linearization import linearize, retract, whitened_residual
 from pcm_jax.mapping.least_squares import padded_edges
-from pcm_jax.mapping.linearization import linearize, retract, whitened_residual
 from pcm_jax.mapping.optimization import host_arrays
 
 

@@ -8,8 +8,8 @@ import pytest
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.mapping import joint_marginal_covariance, optimize
+from pcm_jax.mapping._linearization import linearize
 from pcm_jax.mapping.least_squares import padded_edges
-from pcm_jax.mapping.linearization import linearize
 from pcm_jax.mapping.optimization import host_arrays
 
 

@@ -16,9 +16,9 @@ from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping import optimize
+from pcm_jax.mapping._linearization import linearize, retract, whitened_residual
+from pcm_jax.mapping._normal_equations import BlockCholesky, BlockJacobian, System, system_for
 from pcm_jax.mapping.least_squares import PoseProblem, padded_edges
-from pcm_jax.mapping.linearization import linearize, retract, whitened_residual
-from pcm_jax.mapping.normal_equations import BlockCholesky, BlockJacobian, System, system_for
 from pcm_jax.mapping.optimization import host_arrays
 
 STARTS = ["chordal", "spanning-tree", "given"]

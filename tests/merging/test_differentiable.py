@@ -14,7 +14,8 @@ from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
 from pcm_jax.mapping import optimize
-from pcm_jax.merging import merge, merge_differentiable
+from pcm_jax.merging import merge_differentiable
+from pcm_jax.pipeline import merge
 
 GROUPS = [jaxlie.SE2, jaxlie.SE3]
 

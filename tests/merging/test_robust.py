@@ -9,17 +9,19 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, multivariate_normal
 
 from pcm_jax import lie
-from pcm_jax.cli.arguments import parser
+from pcm_jax.cli._arguments import parser
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
-from pcm_jax.merging import ROBUST_METHODS, merge, robust
-from pcm_jax.merging.robust_weights import (
+from pcm_jax.merging import ROBUST_METHODS
+from pcm_jax.merging.robust import solve as robust
+from pcm_jax.merging.robust.weights import (
     dcs_scale,
     max_mixture_weight,
     null_crossover,
     switch,
     truncated_weight,
 )
+from pcm_jax.pipeline import merge
 from pcm_jax.selection.methods import ALL_METHODS
 from pcm_jax.simulation import simulate_city
 

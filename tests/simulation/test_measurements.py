@@ -7,8 +7,8 @@ from scipy import stats
 from scipy.spatial.distance import cdist
 
 from pcm_jax import lie
+from pcm_jax.simulation._streets import block_poses, drive
 from pcm_jax.simulation.measurements import diagonal_covariance, measure, near_pairs, revisits
-from pcm_jax.simulation.streets import block_poses, drive
 
 
 @pytest.mark.parametrize("group", [jaxlie.SE2, jaxlie.SE3])

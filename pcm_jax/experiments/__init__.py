@@ -1,0 +1,11 @@
+"""What notebooks and benchmarks share: experiments over methods, graphs and simulated worlds.
+
+comparison     every method on the same maps, closures and evidence, beside the truth
+sweep          every method at every gate on thousands of simulated worlds
+_sweep_files   its Parquet files, and how it resumes
+"""
+
+from pcm_jax.experiments.comparison import Compared, Method, compare_methods, mean_figures
+from pcm_jax.experiments.sweep import sweep
+
+__all__ = ["Compared", "Method", "compare_methods", "mean_figures", "sweep"]

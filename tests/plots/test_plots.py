@@ -1,0 +1,306 @@
+"""Plots: what is drawn and how it is labelled, not its pixels."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from matplotlib.colors import to_hex
+
+from pcm_jax import lie, plots
+from pcm_jax.errors import InputError
+from pcm_jax.plots import style as plot_style
+from pcm_jax.simulation import simulate_city, simulate_sessions
+
+mpl.use("Agg")
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    pyplot.close("all")
+
+
+@pytest.fixture(scope="module")
+def city():
+    return simulate_city(seed=0, poses=300, inliers=6, aliased_size=3, random=11)
+
+
+@pytest.fixture(scope="module")
+def sessions():
+    return simulate_sessions(seed=0, poses=200, inliers=5, random=5)
+
+
+def legend_of(owner):
+    legend = owner.get_legend() if hasattr(owner, "get_legend") else owner.legends[0]
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def line(ax, label):
+    (found,) = [x for x in ax.get_lines() if str(x.get_label()).startswith(label)]
+    return found
+
+
+def segments(found):
+    """Ends `[c, 2, 2]` of the closures in a line broken by NaN."""
+    points = np.stack(found.get_data(), axis=-1).reshape(-1, 3, 2)
+    assert np.isnan(points[:, 2]).all()
+    return points[:, :2]
+
+
+def test_trajectories_are_drawn_where_the_maps_are(city):
+    ax = plots.plot_trajectories_with_closures(city.truth, names=["car", "bus"])
+    for name, truth in zip(("car", "bus"), city.truth, strict=True):
+        drawn = np.stack(line(ax, f"robot {name}").get_data(), axis=-1)
+        assert np.array_equal(drawn, lie.parameters(truth)[:, 2:])
+    assert ax.get_xlabel() == "x (m)"
+    assert ax.get_ylabel() == "y (m)"
+    assert ax.get_aspect() == 1.0
+    assert legend_of(ax) == ["robot car", "robot bus"]
+
+
+def test_robots_differ_in_more_than_colour():
+    styles = [plot_style.robot_style(k, 8) for k in range(8)]
+    assert len({(s["color"], s["linestyle"]) for s in styles}) == 8
+    assert len({s["linewidth"] for s in styles}) == 8
+
+
+def test_closures_join_their_poses(city):
+    ax = plots.plot_trajectories_with_closures(city.graph.maps, city.graph.closures)
+    ends = segments(line(ax, "accepted"))
+    closures, maps = city.graph.closures, city.graph.maps
+    for k in (0, 7, len(closures) - 1):
+        for end, robot, pose in (
+            (0, closures.robot_a, closures.pose_a),
+            (1, closures.robot_b, closures.pose_b),
+        ):
+            place = np.asarray(maps[int(robot[k])].poses.unit_complex_xy)[int(pose[k]), 2:]
+            assert np.array_equal(ends[k, end], place)
+
+
+def test_known_truth_is_told_by_colour_dash_and_marker(city):
+    accepted = city.inliers.copy()
+    accepted[np.flatnonzero(city.inliers)[:2]] = False
+    accepted[np.flatnonzero(~city.inliers)[:3]] = True
+    ax = plots.plot_trajectories_with_closures(
+        city.truth, city.graph.closures, accepted=accepted, inliers=city.inliers
+    )
+    assert set(legend_of(ax)) == {
+        "robot a",
+        "robot b",
+        "accepted, true (4)",
+        "accepted, false (3)",
+        "rejected, true (2)",
+        "rejected, false (14)",
+    }
+    kinds = [line(ax, label) for label in ("accepted, true", "accepted, false", "rejected, true")]
+    kinds.append(line(ax, "rejected, false"))
+    assert [len(segments(kind)) for kind in kinds] == [4, 3, 2, 14]
+    for attribute in ("get_color", "get_marker"):
+        assert len({getattr(kind, attribute)() for kind in kinds}) == 4
+    assert kinds[3].get_linestyle() == ":"
+    assert kinds[0].get_linewidth() == max(kind.get_linewidth() for kind in kinds)
+
+
+def test_without_truth_closures_are_accepted_or_rejected(city):
+    ax = plots.plot_trajectories_with_closures(
+        city.truth, city.graph.closures, accepted=city.inliers
+    )
+    assert line(ax, "accepted").get_color() == plot_style.BLUE
+    assert line(ax, "rejected").get_color() == plot_style.GREY
+    assert legend_of(ax)[-2:] == ["rejected (17)", "accepted (6)"]
+
+
+def test_maps_in_space_are_seen_from_above_unless_asked_otherwise(sessions):
+    truth = lie.parameters(sessions.truth[0])
+    above = plots.plot_trajectories_with_closures(sessions.truth)
+    assert np.array_equal(line(above, "robot a").get_ydata(), truth[:, 5])
+    side = plots.plot_trajectories_with_closures(sessions.truth, projection="xz")
+    assert np.array_equal(line(side, "robot a").get_ydata(), truth[:, 6])
+    assert side.get_ylabel() == "z (m)"
+
+
+def test_a_plane_has_no_third_axis(city):
+    with pytest.raises(InputError, match="projection"):
+        plots.plot_trajectories_with_closures(city.truth, projection="xz")
+
+
+@pytest.mark.parametrize("mask", ["accepted", "inliers"])
+def test_masks_of_another_length_are_refused(city, mask):
+    with pytest.raises(InputError, match=mask):
+        plots.plot_trajectories_with_closures(
+            city.truth, city.graph.closures, **{mask: np.ones(3, bool)}
+        )
+
+
+def test_a_merge_says_how_much_it_accepted(city):
+    result = SimpleNamespace(graph=city.graph, inliers=city.inliers)
+    ax = pyplot.figure().subplots()
+    assert plots.plot_merge(result, ax) is ax
+    assert ax.get_title() == "6 of 23 closures accepted"
+    assert "accepted, true (6)" in legend_of(plots.plot_merge(result, truth=city.inliers))
+
+
+def test_a_comparison_lays_all_maps_over_the_first_at_one_scale(city):
+    motion = lie.exp(lie.group_of(city.truth[0]), np.array([30.0, -80.0, 2.0]))
+    moved = [lie.compose(motion, truth) for truth in city.truth]
+    every = np.ones_like(city.inliers)
+    panels = {"truth": (city.truth, None), "all": (moved, every), "PCM": (moved, city.inliers)}
+    axes = plots.plot_comparison(panels, city.graph.closures, inliers=city.inliers)
+    assert [ax.get_title() for ax in axes] == list(panels)
+    for ax in axes[1:]:
+        assert ax.get_xlim() == axes[0].get_xlim()
+        assert ax.get_ylim() == axes[0].get_ylim()
+        drawn, true = (line(x, "robot b").get_xydata() for x in (ax, axes[0]))
+        assert np.allclose(drawn, true, atol=1e-6)
+    assert len(axes[0].get_lines()) == 2
+    assert "false closures accepted: 17 of 17" in axes[1].get_xlabel()
+    assert "true closures accepted: 6 of 6" in axes[2].get_xlabel()
+    assert "false closures accepted: 0 of 17" in axes[2].get_xlabel()
+    assert legend_of(axes[0].figure) == [
+        "robot a",
+        "robot b",
+        "accepted, false",
+        "accepted, true",
+        "rejected, false",
+    ]
+
+
+def test_a_comparison_fits_its_figure(city):
+    panels = {"truth": (city.truth, None), "PCM": (city.truth, city.inliers)}
+    figure = plots.plot_comparison(panels, city.graph.closures)[0].figure
+    figure.canvas.draw()
+    width, height = figure.canvas.get_width_height()
+    for ax in figure.axes:
+        box = ax.get_tightbbox()
+        assert box.x0 >= 0
+        assert box.x1 <= width
+        assert box.y1 <= height
+        assert box.y0 >= figure.legends[0].get_tightbbox().y1 - 1
+
+
+def test_a_comparison_can_be_drawn_into_given_axes(city):
+    axes = pyplot.figure().subplots(1, 2)
+    panels = {"truth": (city.truth, None), "PCM": (city.truth, city.inliers)}
+    drawn = plots.plot_comparison(panels, city.graph.closures, axes=axes)
+    assert drawn == list(axes)
+    axes[0].figure.canvas.draw()
+
+
+def test_squared_distances_break_their_colours_at_the_gate():
+    squared = np.array([[0.0, 2.0, 9.0], [2.0, 0.0, 11.0], [0.0, 1e9, 0.0]])
+    ax = plots.plot_squared_distances(squared, 10.0)
+    image = ax.images[0]
+    colors = image.cmap(image.norm(image.get_array()))
+    brightness = colors[..., :3].mean(axis=-1)
+    inside = squared <= 10.0
+    off_diagonal = ~np.eye(3, dtype=bool)
+    gap = brightness[~inside].min() - brightness[inside & off_diagonal].max()
+    assert gap > 0.2  # also in grey
+    assert np.ma.getmaskarray(image.get_array()).tolist() == np.eye(3, dtype=bool).tolist()
+    assert ax.get_xlabel() == "measurement v"
+    bar = ax.figure.axes[1]
+    assert "gate γ² = 10" in bar.get_ylabel()
+    assert bar.lines[-1].get_ydata()[0] == 10.0
+
+
+def test_squared_distances_can_be_reordered():
+    squared = np.arange(1.0, 10.0).reshape(3, 3)
+    ax = plots.plot_squared_distances(squared, 5.0, order=np.array([2, 0, 1]))
+    shown = ax.images[0].get_array()
+    assert shown[0, 1] == squared[2, 0]
+    assert shown[1, 2] == squared[0, 1]
+    assert "reordered" in ax.get_ylabel()
+
+
+@pytest.mark.parametrize(("squared", "gate"), [(np.ones((2, 3)), 1.0), (np.ones((2, 2)), 0.0)])
+def test_squared_distances_refuse_what_has_no_meaning(squared, gate):
+    with pytest.raises(InputError):
+        plots.plot_squared_distances(squared, gate)
+
+
+def test_a_clique_lights_up_in_the_consistency_graph():
+    graph = np.zeros((7, 7), bool)
+    graph[np.ix_(range(4), range(4))] = True
+    graph[5, 6] = graph[6, 5] = True
+    np.fill_diagonal(graph, False)
+    members = np.arange(7) < 4
+    ax = plots.plot_consistency_graph(graph, members)
+    chords = [c for c in ax.collections if hasattr(c, "get_segments")]
+    assert {to_hex(c.get_colors()[0]).upper(): len(c.get_segments()) for c in chords} == {
+        plot_style.GREY: 1,
+        plot_style.BLUE: 6,
+    }
+    assert legend_of(ax) == ["in the clique (4)", "other (3)"]
+    assert sorted(text.get_text() for text in ax.texts) == list("0123456")
+
+
+def test_the_consistency_graph_shows_mistakes_where_truth_is_known():
+    graph = ~np.eye(6, dtype=bool)
+    members, inliers = np.array([1, 1, 1, 0, 0, 0], bool), np.array([1, 1, 0, 1, 0, 0], bool)
+    ax = plots.plot_consistency_graph(graph, members, inliers=inliers)
+    assert legend_of(ax) == [
+        "in the clique, true (2)",
+        "in the clique, false (1)",
+        "other, true (1)",
+        "other, false (2)",
+    ]
+
+
+def test_large_and_empty_graphs_are_drawn_without_numbers():
+    for count in (0, 200):
+        ax = plots.plot_consistency_graph(np.zeros((count, count), bool))
+        assert not ax.texts
+
+
+@pytest.mark.parametrize("wrong", [{"members": np.ones(2, bool)}, {"inliers": np.ones(4, bool)}])
+def test_a_graph_refuses_masks_of_another_length(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        plots.plot_consistency_graph(np.zeros((3, 3), bool), **wrong)
+
+
+def test_the_gate_is_drawn_beside_what_right_pairs_should_have():
+    generator = np.random.default_rng(0)
+    squared = np.triu(generator.chisquare(3, (40, 40)), 1)
+    inliers = np.arange(40) < 30
+    squared[:, ~inliers] *= 1e5
+    squared += squared.T
+    ax = plots.plot_gate(squared, 11.34, dof=3, inliers=inliers)
+    assert {"two true (435)", "one or both false (345)"} < set(legend_of(ax))
+    for bars in ax.patches:
+        assert bars.get_data().values.sum() == pytest.approx(100.0)
+    right, wrong = (bars.get_data() for bars in ax.patches)
+    assert (
+        right.edges[1:][right.values > 0].max() < 100.0 < wrong.edges[:-1][wrong.values > 0].min()
+    )
+    x, y = line(ax, "chi-squared, d = 3").get_data()
+    step = np.log10(x[1] / x[0])
+    assert y.sum() * step / 0.25 == pytest.approx(100.0, rel=0.01)  # bins of 0.25 decades
+    at = np.log10(right.edges[:-1]) + 0.125
+    assert np.abs(np.interp(at, np.log10(x), y) - right.values).max() < 5.0
+    assert line(ax, "gate γ² = 11.34").get_xdata()[0] == 11.34
+    assert ax.get_xscale() == "log"
+
+
+def test_the_gate_without_truth_counts_larger_directions():
+    squared = np.array([[0.0, 1.0, 0.0], [50.0, 0.0, 2.0], [0.0, 2.0, 0.0]])
+    ax = plots.plot_gate(squared, 10.0, dof=1)
+    (bars,) = ax.patches
+    assert "pairs (3)" in legend_of(ax)
+    values, edges, _ = bars.get_data()
+    assert values[edges[:-1] > 10.0].sum() == pytest.approx(100.0 / 3.0)
+    with pytest.raises(InputError, match="inliers"):
+        plots.plot_gate(squared, 10.0, dof=1, inliers=np.ones(2, bool))
+    with pytest.raises(InputError, match="squared"):
+        plots.plot_gate(np.ones((2, 3)), 10.0, dof=1)
+
+
+def test_matplotlib_is_not_loaded_until_something_is_drawn():
+    code = (
+        "import sys, pcm_jax.evaluation, pcm_jax.plots, pcm_jax.simulation;"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

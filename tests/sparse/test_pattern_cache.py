@@ -1,0 +1,59 @@
+"""Results are found by content, and what is kept is bounded in number and in memory."""
+
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+
+from pcm_jax.sparse.pattern_cache import PatternCache, array_bytes
+
+
+def keys(*starts: int) -> list[np.ndarray]:
+    return [np.arange(start, start + 3) for start in starts]
+
+
+def test_equal_patterns_share_a_result():
+    cache: PatternCache[int] = PatternCache()
+    numbers = itertools.count()
+    found = [cache.get(lambda: next(numbers), key, 5) for key in keys(0, 0, 1, 0)]
+    assert found == [0, 0, 1, 0]
+    assert cache.get(lambda: next(numbers), keys(0)[0], None) == 2
+    assert cache.get(lambda: next(numbers), keys(0)[0].astype(np.int32), 5) == 0
+
+
+def test_the_least_recently_used_goes_first():
+    cache: PatternCache[int] = PatternCache(size=2)
+    numbers = itertools.count()
+    found = [cache.get(lambda: next(numbers), key) for key in keys(0, 1, 0, 2, 0, 1)]
+    assert found == [0, 1, 0, 2, 0, 3]
+
+
+def test_memory_is_bounded_but_for_the_latest():
+    cache: PatternCache[np.ndarray] = PatternCache(nbytes=1_000)
+    made: list[int] = []
+
+    def get(size: int, start: int) -> None:
+        def make() -> np.ndarray:
+            made.append(start)
+            return np.zeros(size, np.uint8)
+
+        cache.get(make, *keys(start))
+
+    get(400, 0), get(400, 1), get(400, 2)  # the third turns the first out
+    get(400, 1), get(400, 2)
+    assert made == [0, 1, 2]
+    get(5_000, 3), get(5_000, 3)
+    assert made == [0, 1, 2, 3]
+    get(400, 2)
+    assert made == [0, 1, 2, 3, 2]
+
+
+def test_arrays_are_counted_once_wherever_they_lie():
+    array = np.zeros(100)
+    view = array[::2]
+    node = SimpleNamespace(first=array, parts=(view, {"again": array}), number=3)
+    node.itself = node
+    assert array_bytes(node) == array.nbytes
+    assert array_bytes([np.zeros(10), np.zeros(10)]) == 160
