@@ -150,7 +150,7 @@ def compared(
 ) -> dict[str, Compared]:
     """`compare_methods` on a version, whose maps are at their optima."""
     return compare_methods(
-        world.graph, world.inliers, world.truth, methods=methods, optimized=True, engine=engine
+        world.graph, world.is_true, world.truth, methods=methods, optimized=True, engine=engine
     )
 
 
@@ -177,7 +177,7 @@ def _draw_telling(path: Path, source: Source, versions: Mapping[str, Any]) -> No
     seed, number = map(int, telling(versions).split("-"))
     world = version_of(load(source), source.law, seed, number)
     results = compared(world, {name: PAPER[name] for name in MAPS.values()})
-    draw_maps(path, world.graph.closures, world.inliers, results)
+    draw_maps(path, world.graph.closures, world.is_true, results)
 
 
 def source_of(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Source:

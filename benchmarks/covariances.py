@@ -164,7 +164,7 @@ def _map_error(
     """Of the maps merged by these closures, in the frame of the first true pose."""
     key = accepted.tobytes()
     if key not in known:
-        merged = merge(world.graph, inliers=accepted, optimized=True)
+        merged = merge(world.graph, accepted=accepted, optimized=True)
         error = pose_error([one.poses for one in merged.graph.maps], world.truth)
         mse = float(error.translation_mse)
         known[key] = {"translation_mse": mse, "ate_rmse": mse**0.5}

@@ -153,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_one_robot(data: Path, name: str) -> dict[str, Any]:
     """What becomes of one trajectory with all its candidates: figures by method, and the noise."""
     candidates = load(data, name)
-    graph, right, odometry = candidates.graph, candidates.inliers, real.steps(candidates.graph)
+    graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
     written = selection_of(data, name)
     alone = odometry.copy()
     alone[written.closures] = written.own_squared <= written.gate
@@ -163,8 +163,8 @@ def run_one_robot(data: Path, name: str) -> dict[str, Any]:
     for row, (factors, options) in WITHIN.items():
         scaled = real.rescaled(graph, factors_of(data, name, factors))
         start = time.perf_counter()
-        inliers = select_within(scaled, **options).inliers
-        methods[row] = _trajectory(candidates, inliers, time.perf_counter() - start)
+        kept = select_within(scaled, **options).kept
+        methods[row] = _trajectory(candidates, kept, time.perf_counter() - start)
     noise = real.noise(candidates, written) | _agreement(candidates, written)
     return {"methods": methods, "noise": noise, "labels": _by_tolerance(candidates, written)}
 
@@ -173,7 +173,7 @@ def run_two_robots(data: Path, name: str, number: int, cuts: int, loosest: bool)
     """What methods make of two sessions, in all arms; nothing where none is right."""
     candidates = load(data, name)
     cut = candidates.graph.num_poses * (number + 1) // (cuts + 1)
-    right = candidates.inliers[across(candidates.graph, cut)]
+    right = candidates.is_true[across(candidates.graph, cut)]
     about = {"data": name, "cut": cut, "candidates": len(right), "right": int(right.sum())}
     if right.sum() < 2:
         return about | {"arms": {}}
@@ -197,7 +197,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
     """
     candidates = load(data, name)
     graph, odometry = candidates.graph, real.steps(candidates.graph)
-    accepted = select_within(graph).inliers
+    accepted = select_within(graph).kept
     solved = {
         "candidates all accepted": optimize(graph).graph,
         "select_within": optimize(real.with_edges(graph, accepted)).graph,
@@ -206,7 +206,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
     hardest = max(runs, key=lambda run: run["largest_false_set"] / run["largest_right_set"])
     cut = hardest["cut"]
     both, truth = sessions(graph, cut, "cleaned"), sessions_truth(candidates, cut)
-    right = candidates.inliers[across(graph, cut)]
+    right = candidates.is_true[across(graph, cut)]
     rows = {row: ALL_METHODS[row] for row in ("ransac-99", "pcm-exact-99")}
     results = compare_methods(both, right, methods=rows)
     return Picture(
@@ -214,7 +214,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
         | {title: lie.as_numpy(each.poses) for title, each in solved.items()},
         np.stack([np.asarray(graph.tail), np.asarray(graph.head)])[:, ~odometry],
         accepted[~odometry],
-        candidates.inliers[~odometry],
+        candidates.is_true[~odometry],
         {"truth": (truth, None)}
         | {row: (each.maps, each.accepted) for row, each in results.items()},
         both.closures,
@@ -274,11 +274,11 @@ def across(graph: PoseGraph, cut: int) -> np.ndarray:
     return np.flatnonzero(((tail < cut) != (head < cut)) & ~real.steps(graph))
 
 
-def _trajectory(candidates: Candidates, inliers: np.ndarray, seconds: float) -> dict[str, Any]:
+def _trajectory(candidates: Candidates, kept: np.ndarray, seconds: float) -> dict[str, Any]:
     """Figures of the trajectory with some of its candidates, information as written."""
-    graph, right, odometry = candidates.graph, candidates.inliers, real.steps(candidates.graph)
-    solution = optimize(real.with_edges(graph, inliers))
-    accepted = inliers & ~odometry
+    graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
+    solution = optimize(real.with_edges(graph, kept))
+    accepted = kept & ~odometry
     freedom = graph.tangent_dim * max(1, int(accepted.sum()))
     return {
         **_counts(accepted[~odometry], right[~odometry]),
@@ -332,7 +332,7 @@ def _sets_and_sweep(graph: MultiRobotGraph, right: np.ndarray) -> dict[str, Any]
 
 def _agreement(candidates: Candidates, selection: Any) -> dict[str, float]:
     """Whether false candidates inside one map agree with each other."""
-    false = np.flatnonzero(~candidates.inliers[selection.closures])
+    false = np.flatnonzero(~candidates.is_true[selection.closures])
     squared = np.maximum(selection.squared, selection.squared.T)[np.ix_(false, false)]
     pairs = squared[np.triu_indices(len(false), 1)] <= selection.gate
     return {
@@ -352,7 +352,7 @@ def _by_tolerance(candidates: Candidates, selection: Any) -> dict[str, dict[str,
         right = real.within_tolerance(candidates.graph, candidates.truth, (metres, degrees))
         counts = _counts(selection.accepted, right[selection.closures])
         rate = pooled([counts | dict.fromkeys(("ate_rmse", "chi2", "converged", "seconds"))])
-        relabelled = int((right != candidates.inliers).sum())
+        relabelled = int((right != candidates.is_true).sum())
         chosen = {name: rate[name] for name in ("right", "precision", "recall")}
         rates[f"{metres:g} m, {degrees:g} degrees"] = chosen | {"labels_that_differ": relabelled}
     return rates

@@ -165,7 +165,7 @@ def run_version(source: Source, methods: Sequence[str], seed: int, number: int) 
         "methods": {
             name: _finite(each.figures) | _counts(kinds[name]) for name, each in results.items()
         },
-        "calibration": _inside(squared, version.inliers),
+        "calibration": _inside(squared, version.is_true),
         "maps": {
             one.name: {
                 "loops": one.num_edges - one.num_poses + 1,
@@ -231,7 +231,7 @@ def draw_figures(out: Path, source: Source, seed: int) -> None:
     graph, _ = _optimised(version.graph)
     results = _compared(graph, version, SHOWN)
     closures, names = graph.closures, source.names
-    chosen: Any = {"accepted": results["pcm-exact-99"].accepted, "inliers": version.inliers}
+    chosen: Any = {"accepted": results["pcm-exact-99"].accepted, "is_true": version.is_true}
     figure, ax = pyplot.subplots(figsize=(7.0, 6.4), dpi=110, layout="constrained")
     plot_trajectories_with_closures(version.truth, closures, names=names, **chosen, ax=ax)
     ax.set_title(f"Candidates, and what PCM (99 %) accepts\n{_credit(source)}", fontsize="medium")
@@ -240,7 +240,7 @@ def draw_figures(out: Path, source: Source, seed: int) -> None:
     panels |= {name: (each.maps, each.accepted) for name, each in results.items()}
     figure = pyplot.figure(figsize=(12.0, 8.6), dpi=66, layout="constrained")
     axes = list(figure.subplots(2, 4).ravel())
-    plot_comparison(panels, closures, inliers=version.inliers, names=names, axes=axes)
+    plot_comparison(panels, closures, is_true=version.is_true, names=names, axes=axes)
     axes[4].set_ylabel(axes[0].get_ylabel())
     axes[4].tick_params(labelleft=True)
     figure.suptitle(_credit(source), fontsize="medium")
@@ -259,7 +259,7 @@ def _compared(
     graph: MultiRobotGraph, version: Version, methods: Iterable[str]
 ) -> dict[str, Compared]:
     rows = {name: METHODS[name] for name in methods}
-    return compare_methods(graph, version.inliers, version.truth, methods=rows, optimized=True)
+    return compare_methods(graph, version.is_true, version.truth, methods=rows, optimized=True)
 
 
 def _finite(figures: Mapping[str, float]) -> dict[str, float]:
@@ -273,9 +273,9 @@ def _counts(kinds: Mapping[str, int]) -> dict[str, float]:
     return accepted | {"accepted_false": wrong}
 
 
-def _inside(squared: np.ndarray, inliers: np.ndarray) -> dict[str, float]:
+def _inside(squared: np.ndarray, is_true: np.ndarray) -> dict[str, float]:
     """Fraction of the pairs of right closures inside gates: the gate's own where calibrated."""
-    right = np.maximum(squared, squared.T)[np.ix_(inliers, inliers)]
+    right = np.maximum(squared, squared.T)[np.ix_(is_true, is_true)]
     pairs = right[np.triu_indices(len(right), 1)]
     return {
         f"{confidence:g}": float(np.mean(pairs <= float(chi2_gate(confidence, 6))))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         stream_consistency_graph,
         to_networkx,
     )
-    from pcm_jax.errors import FileFormatError, InputError, InputWarning
+    from pcm_jax.errors import ConvergenceWarning, FileFormatError, InputError, InputWarning
     from pcm_jax.experiments import sweep
     from pcm_jax.files import (
         from_gtsam,
@@ -55,6 +55,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Clique",
     "ConsistencyProblem",
+    "ConvergenceWarning",
     "FileFormatError",
     "InputError",
     "InputWarning",
@@ -95,7 +96,7 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "errors": ("FileFormatError", "InputError", "InputWarning"),
+    "errors": ("ConvergenceWarning", "FileFormatError", "InputError", "InputWarning"),
     "graph": ("LoopClosures", "MultiRobotGraph", "PoseGraph", "pad_graph", "split"),
     "files": (
         "from_gtsam",

@@ -36,9 +36,10 @@ def host_device() -> Any:
     try:
         return jax.local_devices(backend="cpu")[0]
     except RuntimeError as error:
+        platforms = jax.config.values["jax_platforms"]
         raise InputError(
-            f"JAX_PLATFORMS: {jax.config.values['jax_platforms']!r} leaves out the CPU, on which maps are "
-            "optimised and merged; expected 'cpu' among the platforms, as in 'cuda,cpu'"
+            f"JAX_PLATFORMS: {platforms!r} leaves out the CPU, on which maps are optimised and "
+            "merged; expected 'cpu' among the platforms, as in 'cuda,cpu'"
         ) from error
 
 

@@ -27,3 +27,7 @@ class FileFormatError(InputError):
 
 class InputWarning(UserWarning):
     """Input that was accepted after a documented correction."""
+
+
+class ConvergenceWarning(InputWarning):
+    """A solve that stopped before it met a tolerance; its result is where it stopped."""

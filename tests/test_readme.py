@@ -72,8 +72,8 @@ def test_the_first_screen():
 
 def test_python(names):
     world = simulate_city(**WORLD)
-    accepted = names["result"].inliers
-    assert not (accepted & ~world.inliers).any()
+    accepted = names["result"].accepted
+    assert not (accepted & ~world.is_true).any()
     assert accepted.sum() >= 12  # of 15
     assert ate_rmse(names["result"].graph.maps, world.truth, align="umeyama") < 0.2
     assert read_graph("merged.g2o").names == ("a", "b")
@@ -82,7 +82,7 @@ def test_python(names):
 def test_python_by_hand_is_what_merge_does(names):
     by_hand, at_once = names["merged"].solution, names["result"].solution
     assert by_hand.cost == pytest.approx(at_once.cost, rel=1e-9)
-    np.testing.assert_array_equal(names["merged"].inliers, names["result"].inliers)
+    np.testing.assert_array_equal(names["merged"].accepted, names["result"].accepted)
     np.testing.assert_array_equal(names["chosen"], names["clique"].members)
 
 
@@ -94,7 +94,7 @@ def test_python_of_learning(names):
 
 
 def test_python_recipes(names):
-    assert names["small"].inliers.tolist() == [True, True, False]
+    assert names["small"].accepted.tolist() == [True, True, False]
     assert [one.num_poses for one in names["sessions"].maps] == [150, 150]
     by_gtsam = names["pcm"].squared_mahalanobis(names["problem"])
     np.testing.assert_allclose(by_gtsam, names["squared"], rtol=1e-3)  # its gauge is a prior

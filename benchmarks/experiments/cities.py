@@ -99,7 +99,7 @@ def start_errors(world: SimulatedWorld) -> dict[str, float]:
     error = lie.between(lie.as_numpy(closures.measurement), lie.between(tail, head))
     metres = np.linalg.norm(lie.translation(error), axis=-1)
     groups = [np.median(metres[world.labels == label]) for label in set(world.labels) if label > 0]
-    return {"true": float(np.median(metres[world.inliers])), "aliased": float(min(groups))}
+    return {"true": float(np.median(metres[world.is_true])), "aliased": float(min(groups))}
 
 
 def weakened(city: City, factor: float) -> City:

@@ -165,12 +165,12 @@ def telling(runs: Mapping[str, Run]) -> str:
     return max(runs, key=differences)
 
 
-def draw_maps(path: Path, closures: Any, inliers: Any, results: Mapping[str, Compared]) -> None:
+def draw_maps(path: Path, closures: Any, is_true: Any, results: Mapping[str, Compared]) -> None:
     """Fig. 5: where each method leaves the two maps, and what it accepted."""
     from pcm_jax.plots import plot_comparison
 
     panels = {title: (results[name].maps, results[name].accepted) for title, name in MAPS.items()}
-    _save(plot_comparison(panels, closures, inliers=inliers)[0].figure, path)
+    _save(plot_comparison(panels, closures, is_true=is_true)[0].figure, path)
 
 
 def _save(figure: Any, path: Path) -> None:

@@ -105,8 +105,8 @@ def candidates(kind: Kind, point: Point, seed: int, number: int) -> Candidates:
     ]
     closures = _with_next_place(aliasing, world, closure)
     graph = MultiRobotGraph(tuple(optimize(one).graph for one in maps), closures)
-    right = np.append(world.inliers, np.zeros(NEXT, bool))
-    return Candidates(graph, world.truth, right, np.arange(len(right)) >= len(world.inliers))
+    right = np.append(world.is_true, np.zeros(NEXT, bool))
+    return Candidates(graph, world.truth, right, np.arange(len(right)) >= len(world.is_true))
 
 
 def odometry(one: PoseGraph) -> Bool[np.ndarray, " e"]:
@@ -131,7 +131,7 @@ def _with_next_place(
 ) -> LoopClosures:
     """The world's closures, then those that take one place for the next along a street."""
     closures, (truth_a, truth_b) = world.graph.closures, world.truth
-    met = generator.choice(np.asarray(closures.pose_a)[world.inliers])
+    met = generator.choice(np.asarray(closures.pose_a)[world.is_true])
     ahead = lie.as_matrix(lie.take(truth_a, met))[:-1, 0]  # x is forward
     tangent: Any = np.zeros(lie.tangent_dim(lie.group_of(truth_a)))
     tangent[: len(ahead)] = NEXT_PLACE * ahead

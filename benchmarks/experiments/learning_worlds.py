@@ -80,7 +80,7 @@ def _world(seed: Any) -> LearningWorld:
     city, maps = _city(generator)
     kind = np.where(city.labels > 0, "aliased", np.where(city.labels < 0, "random", "true"))
     overlap, corridor = generator.beta(1.5, 1.2, len(kind)), generator.random(len(kind))
-    place = np.flatnonzero(city.inliers)
+    place = np.flatnonzero(city.is_true)
     ease = overlap[place] - 0.5 * corridor[place] + generator.normal(0.0, 0.5, len(place))
     kind[place[np.argsort(ease)[: COUNTS["slipped"]]]] = "slipped"  # the harder, the likelier
     exact, sigma, measurement = _measured(generator, city, kind, overlap, corridor)
@@ -146,7 +146,7 @@ def _measured(
     error: Any = sigma * np.where((kind == "slipped")[:, None], slip, white)
     drawn = lie.parameters(lie.compose(exact, lie.exp(jaxlie.SE2, error)))
     given = lie.parameters(lie.as_numpy(closures.measurement))
-    values: Any = np.where(city.inliers[:, None], drawn, given)
+    values: Any = np.where(city.is_true[:, None], drawn, given)
     return exact, sigma, jaxlie.SE2(values)
 
 

@@ -191,7 +191,7 @@ def _draw_candidates(ax: Any, place: np.ndarray, drawn: Picture) -> None:
 def _draw_two_robots(drawn: Picture) -> Any:
     from pcm_jax.plots import plot_comparison
 
-    axes = plot_comparison(drawn.sessions, drawn.closures, inliers=drawn.right_across)
+    axes = plot_comparison(drawn.sessions, drawn.closures, is_true=drawn.right_across)
     return axes[0].figure
 
 

@@ -48,14 +48,14 @@ class Candidates(NamedTuple):
         name: the file's, without its endings.
         graph: n poses, e edges; edges between consecutive poses are odometry.
         truth: true poses, Lie `[n]`.
-        inliers: bool `[e]`, the right candidates; false for odometry.
+        is_true: bool `[e]`, the right candidates; false for odometry.
         listed: whether the labels come from a list (KITTI) or from the truth (Bicocca).
     """
 
     name: str
     graph: PoseGraph
     truth: Any
-    inliers: Bool[np.ndarray, " e"]
+    is_true: Bool[np.ndarray, " e"]
     listed: bool
 
 
@@ -101,18 +101,18 @@ def load(data: Path, name: str) -> Candidates:
     prefix, alpha, _ = name.partition("_alpha_")
     if alpha:
         (truth,) = read_graph(_beside(path, f"{prefix}_GT.g2o")).maps
-        poses, inliers = lie.as_numpy(truth.poses), _listed(graph, path, f"{name}_GT_LC.txt")
+        poses, is_true = lie.as_numpy(truth.poses), _listed(graph, path, f"{name}_GT_LC.txt")
     else:
         poses = _interpolated(path, f"{name.rpartition('_')[0]}_timestamps.txt")
-        inliers = None
+        is_true = None
     if len(lie.parameters(poses)) != graph.num_poses:
         raise InputError(
             f"name: {name!r} has {graph.num_poses} poses, but its truth "
             f"{len(lie.parameters(poses))}, expected as many"
         )
-    if inliers is None:
-        inliers = within_tolerance(graph, poses, TOLERANCE)
-    return Candidates(name, graph, poses, inliers, bool(alpha))
+    if is_true is None:
+        is_true = within_tolerance(graph, poses, TOLERANCE)
+    return Candidates(name, graph, poses, is_true, bool(alpha))
 
 
 def steps(graph: PoseGraph) -> Bool[np.ndarray, " e"]:
@@ -191,7 +191,7 @@ def factors_of_truth(selection: WithinSelection, candidates: Candidates) -> Fact
     Odometry's is the mean of the loops that right candidates close with it, the candidates' that of
     the right ones' errors against the truth (which has errors as well).
     """
-    graph, right = candidates.graph, candidates.inliers
+    graph, right = candidates.graph, candidates.is_true
     own, _ = loop_ratios(selection, graph, right[selection.closures])
     return Factors(float(own.mean()), float(squared_errors(candidates)[right].mean()))
 
@@ -229,7 +229,7 @@ def noise(candidates: Candidates, selection: WithinSelection) -> dict[str, float
         Ratios of squared normalised errors to what is expected: 1 is honest, 4 means that errors
         are twice as large as stated. Medians are over the expected median.
     """
-    graph, right = candidates.graph, candidates.inliers
+    graph, right = candidates.graph, candidates.is_true
     odometry, squared = steps(graph), squared_errors(candidates)
     own, near = loop_ratios(selection, graph, right[selection.closures])
     data, truth = (
@@ -270,7 +270,7 @@ def lever_arm(candidates: Candidates) -> float:
 
 
 def _label_figures(candidates: Candidates) -> dict[str, float | None]:
-    graph, right = candidates.graph, candidates.inliers
+    graph, right = candidates.graph, candidates.is_true
     away = ~right & ~steps(graph)
     distance = np.linalg.norm(errors(graph, candidates.truth)[:, :2], axis=1)
     stored = np.abs(np.asarray(lie.log(lie.as_numpy(graph.measurement)))).max(axis=1)

@@ -57,13 +57,13 @@ class Version(NamedTuple):
 
     Attributes:
         graph: maps at raw odometry, each in its first pose's frame.
-        inliers: bool `[m]`, within the threshold.
+        is_true: bool `[m]`, within the threshold.
         kinds: for each closure one of `KINDS`.
         truth: true poses of each robot in one frame.
     """
 
     graph: MultiRobotGraph
-    inliers: Bool[np.ndarray, " m"]
+    is_true: Bool[np.ndarray, " m"]
     kinds: np.ndarray
     truth: tuple[Any, ...]
 

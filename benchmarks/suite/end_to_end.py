@@ -46,9 +46,9 @@ def two_maps(group: str, settings: Settings) -> dict[str, Measured]:
     first = seconds_of(lambda: merge(world.graph))
     compiled = merge(other.graph).seconds["compile"]
     timing = timing_of(lambda: merge(world.graph), settings.patience)
-    accepted = merge(world.graph).inliers
-    true, false = (int((accepted & each).sum()) for each in (world.inliers, ~world.inliers))
-    note = f"{true} of {world.inliers.sum()} true closures and {false} false ones accepted"
+    accepted = merge(world.graph).accepted
+    true, false = (int((accepted & each).sum()) for each in (world.is_true, ~world.is_true))
+    note = f"{true} of {world.is_true.sum()} true closures and {false} false ones accepted"
     return {
         "first": Measured(first, "plans and compilation included"),
         "other_size_compiles": Measured(compiled, f"{OTHER_SIZE[group]:,} poses a map"),

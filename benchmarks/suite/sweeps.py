@@ -53,9 +53,9 @@ def _sets(closures: int) -> list[Int[np.ndarray, " k"]]:
 
 
 def _sweep(graph: MultiRobotGraph, sets: list[Any], engine: str) -> dict[str, Measured]:
-    def merged(inliers: Any, room: Any) -> Callable[[], Any]:
+    def merged(accepted: Any, room: Any) -> Callable[[], Any]:
         options = {"optimized": True, "engine": engine, "room_for": room}
-        return lambda: merge(graph, inliers=inliers, **options)
+        return lambda: merge(graph, accepted=accepted, **options)
 
     by_its_own = [seconds_of(merged(each, None)) for each in sets[:6]]  # compiles, too
     room = np.unique(np.concatenate(sets))

@@ -67,7 +67,7 @@ def description(world: SimulatedWorld) -> str:
     groups = [int((world.labels == k).sum()) for k in range(1, world.labels.max() + 1)]
     return (
         f"Simulated city, robots {robots}.\n{len(world.labels)} candidate closures between them:"
-        f" {int(world.inliers.sum())} true, {' + '.join(map(str, groups))} false that agree among"
+        f" {int(world.is_true.sum())} true, {' + '.join(map(str, groups))} false that agree among"
         f" themselves, {int((world.labels < 0).sum())} at random."
     )
 
@@ -76,14 +76,14 @@ def comparison(world: SimulatedWorld, outcomes: dict[str, Outcome]) -> str:
     """The table of both ways to merge."""
     rows = []
     for name, outcome in outcomes.items():
-        accepted, solution = outcome.result.inliers, outcome.result.solution
+        accepted, solution = outcome.result.accepted, outcome.result.solution
         error = float(ate_rmse(outcome.result.graph.maps, world.truth, align="umeyama"))
         rows.append(
             [
                 name,
                 int(accepted.sum()),
-                int((accepted & world.inliers).sum()),
-                int((accepted & ~world.inliers).sum()),
+                int((accepted & world.is_true).sum()),
+                int((accepted & ~world.is_true).sum()),
                 f"{error:.3f}",
                 f"{outcome.seconds:.1f}",
                 f"{outcome.result.seconds['compile']:.1f}",
@@ -100,8 +100,8 @@ def draw(world: SimulatedWorld, outcomes: dict[str, Outcome], path: Path) -> Non
     panels: dict[str, Any] = {"Ground truth": (world.truth, None)}
     for name in (EVERYTHING, PCM):
         result = outcomes[name].result
-        panels[name[0].upper() + name[1:]] = (result.graph.maps, np.asarray(result.inliers))
+        panels[name[0].upper() + name[1:]] = (result.graph.maps, np.asarray(result.accepted))
     axes = plot_comparison(
-        panels, world.graph.closures, inliers=world.inliers, names=world.graph.names
+        panels, world.graph.closures, is_true=world.is_true, names=world.graph.names
     )
     outputs.save_picture(path, axes[0])

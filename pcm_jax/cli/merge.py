@@ -68,7 +68,7 @@ def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
 
 def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
     """What was decided of one map; one without a loop has no selection."""
-    rejected = [] if selection is None else (~selection.inliers).nonzero()[0].tolist()
+    rejected = [] if selection is None else (~selection.accepted).nonzero()[0].tolist()
     closures = 0 if selection is None else len(selection.closures)
     return {
         "robot": pose_graph.name,

@@ -31,7 +31,7 @@ def run(options: Any) -> None:
     write_text(folder / "labels.json", json_text(_labels(world, options.world, arguments)))
     print(
         f"wrote {folder}: {len(world.graph.maps)} robots, {len(world.labels)} closures,"
-        f" {int(world.inliers.sum())} of them true (labels.json)\n"
+        f" {int(world.is_true.sum())} of them true (labels.json)\n"
         f"try   pcm-jax merge {command}"
     )
 
@@ -60,7 +60,7 @@ def _labels(world: SimulatedWorld, kind: str, arguments: dict[str, Any]) -> dict
     return {
         "world": kind,
         "arguments": arguments,
-        "true_closures": np.flatnonzero(world.inliers).tolist(),
+        "true_closures": np.flatnonzero(world.is_true).tolist(),
         "labels": world.labels.tolist(),
         "meaning": "labels[index]: 0 true; 1, 2, ... the aliased group; -1 random",
     }

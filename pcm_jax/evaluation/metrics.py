@@ -39,24 +39,24 @@ class PoseError(NamedTuple):
 
 
 def true_positive_rate(
-    accepted: Bool[Array, "*batch m"], inliers: Bool[Array, "*batch m"]
+    accepted: Bool[Array, "*batch m"], is_true: Bool[Array, "*batch m"]
 ) -> Float[Array, "*batch"]:
     """Fraction of the true closures that were accepted; NaN where none is true."""
-    return _fraction(accepted, inliers)
+    return _fraction(accepted, is_true)
 
 
 def false_positive_rate(
-    accepted: Bool[Array, "*batch m"], inliers: Bool[Array, "*batch m"]
+    accepted: Bool[Array, "*batch m"], is_true: Bool[Array, "*batch m"]
 ) -> Float[Array, "*batch"]:
     """Fraction of the false closures that were accepted; NaN where none is false."""
-    return _fraction(accepted, ~_mask(inliers))
+    return _fraction(accepted, ~_mask(is_true))
 
 
 def precision(
-    accepted: Bool[Array, "*batch m"], inliers: Bool[Array, "*batch m"]
+    accepted: Bool[Array, "*batch m"], is_true: Bool[Array, "*batch m"]
 ) -> Float[Array, "*batch"]:
     """Fraction of the accepted closures that are true; NaN where none was accepted."""
-    return _fraction(inliers, accepted)
+    return _fraction(is_true, accepted)
 
 
 def translation_mse(estimate: Any, truth: Any, *, align: str | None = "first") -> Scalar:

@@ -104,7 +104,7 @@ class Compared(NamedTuple):
 @on_host
 def compare_methods(
     graph: MultiRobotGraph,
-    inliers: Any,
+    is_true: Any,
     truth: Sequence[Any] | None = None,
     *,
     methods: Mapping[str, Method] | None = None,
@@ -116,7 +116,7 @@ def compare_methods(
 
     Args:
         graph: maps and candidate closures.
-        inliers: bool `[m]`, which closures are right.
+        is_true: bool `[m]`, which closures are right.
         truth: true poses of each robot in one frame, Lie `[n]` each; None: no map errors.
         methods: rows by label; by default the paper's, and its three at a calibrated gate. The
             merge by the right closures alone, the reference, is always made.
@@ -129,14 +129,14 @@ def compare_methods(
         closures make common, are no reason to warn here: `figures["converged"]` says so.
 
     Raises:
-        InputError: an unknown method, `inliers` of a wrong shape, a truth of other robots, and
+        InputError: an unknown method, `is_true` of a wrong shape, a truth of other robots, and
             what `merge` raises.
     """
     rows = dict(PAPER | CALIBRATED if methods is None else methods)
-    right = np.asarray(inliers)
+    right = np.asarray(is_true)
     if right.dtype != bool or right.shape != (len(graph.closures),):
         raise InputError(
-            f"inliers: {right.dtype} {list(right.shape)} given, expected bool "
+            f"is_true: {right.dtype} {list(right.shape)} given, expected bool "
             f"[{len(graph.closures)}], one per closure"
         )
     with warnings.catch_warnings():
@@ -174,7 +174,7 @@ class _Bench:
     def __init__(
         self,
         graph: MultiRobotGraph,
-        inliers: np.ndarray,
+        is_true: np.ndarray,
         truth: Sequence[Any] | None,
         rows: Mapping[str, Method],
         optimized: bool,
@@ -184,7 +184,7 @@ class _Bench:
         # Any selection computes Q, and this is the cheapest.
         first = select(graph, method="ransac", optimized=optimized)
         self.graph, self.pairs = MultiRobotGraph(first.maps, graph.closures), first.pairs
-        self.inliers, self.truth = inliers, truth
+        self.is_true, self.truth = is_true, truth
         self.minimum_inliers, self.engine = minimum_inliers, engine
         self.selected = {
             label: self._selected(method)
@@ -192,20 +192,20 @@ class _Bench:
             if method.name in ALL_METHODS
         }
         chosen = [each.accepted for each in self.selected.values()]
-        self.room = np.any([inliers, *chosen], axis=0)
+        self.room = np.any([is_true, *chosen], axis=0)
         self.merges: dict[bytes, Any] = {}
-        self.reference = self._merged(inliers)
+        self.reference = self._merged(is_true)
 
     def result(self, label: str, method: Method) -> Compared:
         if method.name in ALL_METHODS:
             accepted, selecting = self.selected[label]
             merged = self._merged(accepted)
         elif method.name in ("true", "all"):
-            accepted, selecting = self.inliers | (method.name == "all"), 0.0
+            accepted, selecting = self.is_true | (method.name == "all"), 0.0
             merged = self._merged(accepted)
         else:
             merged, selecting = self._robust(method), 0.0
-            accepted = merged.inliers
+            accepted = merged.accepted
         maps = merged.robust.maps if merged.robust else merged.graph.maps
         seconds = selecting + merged.seconds["merge"] - merged.seconds["compile"]
         return Compared(accepted, maps, self._figures(merged, accepted, maps, seconds))
@@ -213,7 +213,7 @@ class _Bench:
     def _selected(self, method: Method) -> _Selected:
         start = time.perf_counter()
         gate = float(chi2_gate(method.confidence, self.graph.tangent_dim))
-        accepted = np.zeros_like(self.inliers)
+        accepted = np.zeros_like(self.is_true)
         for pair in self.pairs:
             accepted[pair.closures] = self._of_pair(pair, gate, method)
         return _Selected(accepted, time.perf_counter() - start)
@@ -227,7 +227,7 @@ class _Bench:
         if key not in self.merges:
             options = {"optimized": True, "engine": self.engine}
             room = self.room if not np.any(accepted & ~self.room) else None
-            self.merges[key] = merge(self.graph, inliers=accepted, room_for=room, **options)
+            self.merges[key] = merge(self.graph, accepted=accepted, room_for=room, **options)
         return self.merges[key]
 
     def _robust(self, method: Method) -> Any:
@@ -254,11 +254,11 @@ class _Bench:
         return lie.compose(lie.compose(into_map, true), lie.inverse(own))
 
     def _figures(self, merged: Any, accepted: Any, maps: Any, seconds: float) -> dict[str, float]:
-        inliers: Any = self.inliers
+        is_true: Any = self.is_true
         figures: dict[str, Any] = {
-            "tpr": true_positive_rate(accepted, inliers),
-            "fpr": false_positive_rate(accepted, inliers),
-            "precision": precision(accepted, inliers) if accepted.any() else 1.0,
+            "tpr": true_positive_rate(accepted, is_true),
+            "fpr": false_positive_rate(accepted, is_true),
+            "precision": precision(accepted, is_true) if accepted.any() else 1.0,
         }
         if self.truth is not None:
             figures |= _map_errors(maps, self.truth)

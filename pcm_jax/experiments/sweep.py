@@ -193,7 +193,7 @@ def outcomes_of(worlds: Int[Array, " w"], seed: Any, numbers: Numbers, shape: Sh
     law = {**dict(shape.law), **numbers.law}
     drawn = jax.vmap(functools.partial(simulate_chains, **law))(key)
     squared = jax.vmap(squared_mahalanobis)(drawn.problem)
-    inliers = drawn.inliers
+    inliers = drawn.is_true
 
     def kept(method: str) -> Bool[Array, "confidences w m"]:
         return jax.vmap(lambda gate: select_batched(squared, gate, method=method))(numbers.gates)

@@ -49,7 +49,7 @@ class MergeResult:
     Attributes:
         graph: the maps at their merged poses, each in its group's frame, which is that of the
             group's first robot; all closures, in the given order.
-        inliers: bool `[m]`, the closures that were accepted and used.
+        accepted: bool `[m]`, the closures that were accepted and used.
         anchors: Lie `[robots]`, float64: the pose `T_r` of each map's own frame in its group's
             frame, `P = T_r X` at the map's first pose; the identity for a robot by itself.
         solution: costs and convergence.
@@ -65,7 +65,7 @@ class MergeResult:
     """
 
     graph: MultiRobotGraph
-    inliers: Bool[np.ndarray, " m"]
+    accepted: Bool[np.ndarray, " m"]
     anchors: Any
     solution: MergeSolution
     groups: tuple[tuple[int, ...], ...]
@@ -114,19 +114,19 @@ class MergeResult:
             "seconds": dict(self.seconds),
         }
 
-    def plot(self, ax: Any = None, *, truth: Any = None) -> Any:
+    def plot(self, ax: Any = None, *, is_true: Any = None) -> Any:
         """Draws the merged maps with accepted and rejected closures; needs the `plot` extra.
 
         Args:
             ax: matplotlib axes; new ones by default.
-            truth: bool `[m]`, the closures that are right, if known.
+            is_true: bool `[m]`, the closures that are right, if known.
 
         Returns:
             The axes.
         """
         from pcm_jax.plots import plot_merge
 
-        return plot_merge(self, ax, truth=truth)
+        return plot_merge(self, ax, is_true=is_true)
 
     def _closure_rows(self) -> list[dict[str, Any]]:
         maps, closures = self.graph.maps, self.graph.closures
@@ -143,7 +143,7 @@ class MergeResult:
                 "a": maps[a].pose_name(i),
                 "b": maps[b].pose_name(k),
                 "source": str(closures.source[index]),
-                "accepted": bool(self.inliers[index]),
+                "accepted": bool(self.accepted[index]),
             }
             for index, (a, i, b, k) in enumerate(ends)
         ]
@@ -163,7 +163,7 @@ class MergeResult:
                     "a": maps[a].name,
                     "b": maps[b].name,
                     "measured": len(indices),
-                    "accepted": int(self.inliers[indices].sum()),
+                    "accepted": int(self.accepted[indices].sum()),
                     "optimal": optimal,
                     "upper_bound": upper_bound,
                 }
@@ -188,7 +188,7 @@ def _anchor_covariance(result: MergeResult) -> np.ndarray:
     covariance = np.zeros((len(graph.maps), graph.tangent_dim, graph.tangent_dim))
     here = lie.identity(lie.group_of(lie.as_numpy(graph.maps[0].poses)), (len(graph.maps),))
     for members in result.groups:
-        used = closures_within(members, graph.closures, result.inliers)
+        used = closures_within(members, graph.closures, result.accepted)
         joint = joint_graph(graph, members, used, here)
         sizes = [graph.maps[robot].num_poses for robot in members]
         first = np.cumsum(sizes) - sizes

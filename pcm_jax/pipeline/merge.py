@@ -35,7 +35,7 @@ def merge(
     *,
     method: str = "pcm-exact",
     confidence: float = 0.99,
-    inliers: Any = None,
+    accepted: Any = None,
     room_for: Any = None,
     optimized: bool = False,
     minimum_inliers: int = 2,
@@ -54,7 +54,7 @@ def merge(
             the solve with information scaled by how well they fit (see `merging.robust`).
         confidence: probability that the loop of two right closures passes the gate; of a robust
             method, that one right closure does.
-        inliers: bool `[m]` or indices: the closures to use instead of selecting any.
+        accepted: bool `[m]` or indices: the closures to use instead of selecting any.
         room_for: bool `[m]` or indices: closures for which the merged map's symbolic plan has room
             besides those accepted. Merges of one graph by different closures share one plan if
             all of these are named in each; the results differ by rounding alone. A plan with room
@@ -79,7 +79,7 @@ def merge(
             selecting raises.
     """
     _check(graph)
-    method = _checked_method(method, options, time_limit, inliers)
+    method = _checked_method(method, options, time_limit, accepted)
     tell = progress or (lambda text: None)
     selection = robust = None
     with CompileClock() as compiling:
@@ -87,7 +87,7 @@ def merge(
             selection = _select(
                 graph, method, confidence, optimized, minimum_inliers, time_limit, tell, options
             )
-            accepted, maps = selection.inliers, selection.maps
+            accepted, maps = selection.accepted, selection.maps
             seconds = dict(selection.seconds)
         else:
             start = time.perf_counter()
@@ -95,7 +95,7 @@ def merge(
             maps = optimized_maps(graph.maps, optimized)
             seconds = dict.fromkeys(STAGES, 0.0) | {"optimize": time.perf_counter() - start}
             everything = np.ones(len(graph.closures), bool)
-            accepted = everything if inliers is None else _mask("inliers", inliers, graph)
+            accepted = everything if accepted is None else _mask("accepted", accepted, graph)
         own = MultiRobotGraph(maps, graph.closures)
         start = time.perf_counter()
         if method in ROBUST_METHODS:
@@ -117,20 +117,20 @@ def merge(
 
 
 def _checked_method(
-    method: str, options: dict[str, Any], time_limit: float | None, inliers: Any
+    method: str, options: dict[str, Any], time_limit: float | None, accepted: Any
 ) -> str:
     """The method's name, or "given". What selection methods take is checked by `select`."""
     known = (*ALL_METHODS, *ROBUST_METHODS, EVERYTHING)
     if method not in known:
         raise InputError(f"method: {method!r}, expected one of {', '.join(known)}")
-    if inliers is not None:
+    if accepted is not None:
         method = GIVEN
     if method in ROBUST_METHODS:
         check_robust_options(method, options)
         if time_limit is not None:
             raise InputError(f"time_limit: not an option of method {method!r}")
     elif options and method not in ALL_METHODS:
-        what = "inliers=" if method == GIVEN else f"method {method!r}"
+        what = "accepted=" if method == GIVEN else f"method {method!r}"
         raise InputError(f"{next(iter(options))}: not an option that goes with {what}")
     return method
 

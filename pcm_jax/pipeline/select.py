@@ -81,16 +81,16 @@ def select(
     with watch("optimize"):
         maps = optimized_maps(graph.maps, optimized)
     judge = _Judge(maps, gate, method, options, memory_limit, watch, progress)
-    inliers = np.zeros(len(np.asarray(graph.closures.robot_a)), bool)
+    accepted = np.zeros(len(np.asarray(graph.closures.robot_a)), bool)
     pairs = []
     for a, b in graph.closures.pairs():
         closures, indices = graph.closures.between(a, b)
         choice, evidence = judge(a, b, closures)
         enough = np.count_nonzero(choice.members) >= minimum_inliers
-        inliers[indices] = accepted = choice.members & enough
+        accepted[indices] = of_pair = choice.members & enough
         certificate = choice.optimal, choice.upper_bound
-        pairs.append(PairSelection(a, b, indices, evidence, gate, accepted, *certificate))
-    return Selection(inliers, tuple(pairs), method, confidence, gate, maps, watch.seconds)
+        pairs.append(PairSelection(a, b, indices, evidence, gate, of_pair, *certificate))
+    return Selection(accepted, tuple(pairs), method, confidence, gate, maps, watch.seconds)
 
 
 def optimized_maps(maps: tuple[PoseGraph, ...], optimized: bool) -> tuple[PoseGraph, ...]:

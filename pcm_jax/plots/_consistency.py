@@ -72,7 +72,7 @@ def plot_consistency_graph(
     graph: Bool[Array, "m m"],
     members: Bool[np.ndarray, " m"] | None = None,
     *,
-    inliers: Bool[np.ndarray, " m"] | None = None,
+    is_true: Bool[np.ndarray, " m"] | None = None,
     ax: Any = None,
 ) -> Any:
     """Draws measurements on a circle and their consistent pairs as chords; a clique lights up.
@@ -83,7 +83,7 @@ def plot_consistency_graph(
     Args:
         graph: symmetric adjacency, as of `consistency_graph`.
         members: which measurements the clique contains.
-        inliers: which measurements are true, where that is known.
+        is_true: which measurements are true, where that is known.
         ax: matplotlib axes to draw into; None makes a figure.
 
     Returns:
@@ -96,7 +96,7 @@ def plot_consistency_graph(
     count = len(adjacency)
     if adjacency.shape != (count, count):
         raise InputError(f"graph: shape {adjacency.shape} given, expected [m, m]")
-    true = None if inliers is None else _checked_mask("inliers", inliers, count)
+    true = None if is_true is None else _checked_mask("is_true", is_true, count)
     inside = np.zeros(count, bool)
     if members is not None:
         inside = _checked_mask("members", members, count)
@@ -117,7 +117,7 @@ def plot_gate(
     gate: float,
     *,
     dof: int,
-    inliers: Bool[np.ndarray, " m"] | None = None,
+    is_true: Bool[np.ndarray, " m"] | None = None,
     ax: Any = None,
 ) -> Any:
     """Draws how the squared distances are spread beside what two right closures should have.
@@ -131,7 +131,7 @@ def plot_gate(
         squared: squared Mahalanobis distances; the two directions of a pair count as their maximum.
         gate: γ², as of `chi2_gate`.
         dof: degrees of freedom, d: 3 in SE(2), 6 in SE(3).
-        inliers: which measurements are true, where that is known.
+        is_true: which measurements are true, where that is known.
         ax: matplotlib axes to draw into; None makes a figure.
 
     Returns:
@@ -141,7 +141,7 @@ def plot_gate(
         InputError: `squared` is not square, the gate is not above 0, or a mask of another length.
     """
     values = _checked_distances(squared, gate)
-    true = None if inliers is None else _checked_mask("inliers", inliers, len(values))
+    true = None if is_true is None else _checked_mask("is_true", is_true, len(values))
     u, v = np.triu_indices(len(values), 1)
     pairs = np.maximum(np.maximum(values[u, v], values[v, u]), np.finfo(float).tiny)
     if true is None:

@@ -23,7 +23,7 @@ def plot_trajectories_with_closures(
     closures: Any = None,
     *,
     accepted: Mask | None = None,
-    inliers: Mask | None = None,
+    is_true: Mask | None = None,
     names: Sequence[str] | None = None,
     projection: str = "xy",
     legend: bool = True,
@@ -39,7 +39,7 @@ def plot_trajectories_with_closures(
         maps: one `PoseGraph` or Lie `[n]` for each robot, in a common frame.
         closures: `LoopClosures` `[m]`; None draws the maps alone.
         accepted: which of them were accepted; None: all.
-        inliers: which of them are true, where that is known.
+        is_true: which of them are true, where that is known.
         names: the robots' names; by default the maps'.
         projection: the two axes drawn, "xy" (from above), or "xz", "yz" for maps in space.
         legend: whether to add a legend.
@@ -56,7 +56,7 @@ def plot_trajectories_with_closures(
     for k, (path, name) in enumerate(zip(places, names or _names(maps), strict=True)):
         ax.plot(*path.T, label=f"robot {name}", **style.robot_style(k, len(places)))
     if closures is not None:
-        for kind, rows in closure_kinds(len(closures), accepted, inliers).items():
+        for kind, rows in closure_kinds(len(closures), accepted, is_true).items():
             _draw_closures(ax, places, closures, kind, rows)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel(f"{projection[0]} (m)")
@@ -66,17 +66,17 @@ def plot_trajectories_with_closures(
     return ax
 
 
-def plot_merge(result: Any, ax: Any = None, *, truth: Mask | None = None) -> Any:
+def plot_merge(result: Any, ax: Any = None, *, is_true: Mask | None = None) -> Any:
     """Draws the result of a merge: its maps in the common frame and what became of each closure.
 
     Args:
-        result: anything with `.graph` (maps in a common frame) and `.inliers` `[m]`.
+        result: anything with `.graph` (maps in a common frame) and `.accepted` `[m]`.
         ax: matplotlib axes to draw into; None makes a figure.
-        truth: which closures are true, where that is known.
+        is_true: which closures are true, where that is known.
     """
-    graph, accepted = result.graph, np.asarray(result.inliers, dtype=bool)
+    graph, accepted = result.graph, np.asarray(result.accepted, dtype=bool)
     ax = plot_trajectories_with_closures(
-        graph.maps, graph.closures, accepted=accepted, inliers=truth, ax=ax
+        graph.maps, graph.closures, accepted=accepted, is_true=is_true, ax=ax
     )
     ax.set_title(f"{accepted.sum()} of {len(accepted)} closures accepted")
     return ax
@@ -86,7 +86,7 @@ def plot_comparison(
     panels: Mapping[str, tuple[Sequence[Any], Mask | None]],
     closures: Any,
     *,
-    inliers: Mask | None = None,
+    is_true: Mask | None = None,
     names: Sequence[str] | None = None,
     axes: Sequence[Any] | None = None,
 ) -> list[Any]:
@@ -97,7 +97,7 @@ def plot_comparison(
             accepted closures, or None to draw no closures. All maps are laid over those of the
             first panel (`align="umeyama"`), best the truth, whose extent also sets the scale.
         closures: the `LoopClosures` that all panels share.
-        inliers: which of them are true, where that is known; it is counted below the panels.
+        is_true: which of them are true, where that is known; it is counted below the panels.
         names: the robots' names; by default the maps'.
         axes: one matplotlib axes for each panel; None makes a figure.
 
@@ -111,31 +111,31 @@ def plot_comparison(
             aligned(list(maps), reference, align="umeyama"),
             None if accepted is None else closures,
             accepted=accepted,
-            inliers=inliers,
+            is_true=is_true,
             names=names or _names(maps),
             legend=False,
             ax=ax,
         )
         ax.set_title(title, fontsize="x-large", fontweight="bold")
-        ax.set_xlabel("\n".join([ax.get_xlabel(), *_counts(accepted, inliers)]), linespacing=1.4)
+        ax.set_xlabel("\n".join([ax.get_xlabel(), *_counts(accepted, is_true)]), linespacing=1.4)
     _same_view(chosen, [lie.translation(on_host(poses)) for poses in reference])
     _shared_legend(chosen)
     return chosen
 
 
-def closure_kinds(count: int, accepted: Mask | None, inliers: Mask | None) -> dict[LineStyle, Mask]:
+def closure_kinds(count: int, accepted: Mask | None, is_true: Mask | None) -> dict[LineStyle, Mask]:
     """Which closures are drawn in which way; kinds without any are left out."""
-    masks = {"accepted": accepted, "inliers": inliers}
+    masks = {"accepted": accepted, "is_true": is_true}
     for argument, mask in masks.items():
         if mask is not None and np.shape(mask) != (count,):
             raise InputError(
                 f"{argument}: shape {np.shape(mask)} given, expected ({count},), one per closure"
             )
     kept = np.ones(count, bool) if accepted is None else np.asarray(accepted, dtype=bool)
-    if inliers is None:
+    if is_true is None:
         kinds = {style.REJECTED: ~kept, style.ACCEPTED: kept}
     else:
-        true = np.asarray(inliers, dtype=bool)
+        true = np.asarray(is_true, dtype=bool)
         kinds = {
             style.REJECTED_FALSE: ~kept & ~true,
             style.ACCEPTED_FALSE: kept & ~true,
@@ -194,13 +194,13 @@ def _new_panels(count: int) -> list[Any]:
     return list(figure.subplots(1, count, squeeze=False)[0])
 
 
-def _counts(accepted: Mask | None, inliers: Mask | None) -> list[str]:
+def _counts(accepted: Mask | None, is_true: Mask | None) -> list[str]:
     """What was accepted, in one line or two."""
     if accepted is None:
         return []
     kept = np.asarray(accepted, dtype=bool)
-    true = np.ones_like(kept) if inliers is None else np.asarray(inliers, dtype=bool)
-    kinds = {"": true} if inliers is None else {"true ": true, "false ": ~true}
+    true = np.ones_like(kept) if is_true is None else np.asarray(is_true, dtype=bool)
+    kinds = {"": true} if is_true is None else {"true ": true, "false ": ~true}
     return [f"{k}closures accepted: {(kept & r).sum()} of {r.sum()}" for k, r in kinds.items()]
 
 

@@ -64,7 +64,7 @@ class Selection:
     """Which closures of a graph to believe.
 
     Attributes:
-        inliers: bool [m], in the order of the graph's closures.
+        accepted: bool [m], in the order of the graph's closures.
         pairs: one `PairSelection` per pair of robots that closures join, by robot index.
         method: as given.
         confidence: as given.
@@ -73,7 +73,7 @@ class Selection:
         seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"` and `"clique"`.
     """
 
-    inliers: Bool[np.ndarray, " m"]
+    accepted: Bool[np.ndarray, " m"]
     pairs: tuple[PairSelection, ...]
     method: str
     confidence: float

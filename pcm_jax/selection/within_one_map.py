@@ -39,7 +39,7 @@ class WithinSelection:
 
     Attributes:
         graph: the map without the rejected edges; poses, ids and name are the given ones.
-        inliers: bool [e], false for rejected closures.
+        kept: bool [e], false for rejected closures.
         odometry: bool [e], the edges that were taken as odometry; never rejected.
         closures: int64 [m], the indices of all other edges, ascending.
         squared: float64 [m, m], squared Mahalanobis distances of pairs, not symmetrised.
@@ -53,7 +53,7 @@ class WithinSelection:
     """
 
     graph: PoseGraph
-    inliers: Bool[np.ndarray, " e"]
+    kept: Bool[np.ndarray, " e"]
     odometry: Bool[np.ndarray, " e"]
     closures: Int[np.ndarray, " m"]
     squared: Float[np.ndarray, "m m"]
@@ -63,6 +63,11 @@ class WithinSelection:
     optimal: bool | None
     upper_bound: int | None
     seconds: dict[str, float]
+
+    @property
+    def inliers(self) -> Bool[np.ndarray, " e"]:
+        """The former name of `kept`."""
+        return self.kept
 
 
 @on_host
@@ -116,12 +121,12 @@ def select_within(
     choice = choose(squared[np.ix_(candidates, candidates)], gate, method=method, **options)
     accepted = np.zeros(len(closures), bool)
     accepted[candidates] = choice.members & (choice.members.sum() >= minimum_inliers)
-    inliers = odometry.copy()
-    inliers[closures] = accepted
+    kept = odometry.copy()
+    kept[closures] = accepted
     chosen = time.perf_counter()
     return WithinSelection(
-        graph=_with_edges(pose_graph, inliers),
-        inliers=inliers,
+        graph=_with_edges(pose_graph, kept),
+        kept=kept,
         odometry=odometry,
         closures=closures,
         squared=squared,

@@ -64,7 +64,7 @@ class ChainWorld(NamedTuple):
     truth: Any
 
     @property
-    def inliers(self) -> Bool[Array, " m"]:
+    def is_true(self) -> Bool[Array, " m"]:
         """Which closures are true."""
         return self.labels == 0
 

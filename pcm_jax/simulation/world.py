@@ -23,13 +23,13 @@ class SimulatedWorld(NamedTuple):
     Attributes:
         graph: the robots' maps, each at its raw odometry in its own frame (first pose the
             identity), and the candidate closures in shuffled order.
-        inliers: bool `[m]`, which closures are true.
+        is_true: bool `[m]`, which closures are true.
         labels: int64 `[m]`: 0 true; 1, 2, … the aliased group; -1 random.
         truth: true poses of each robot in one common frame, NumPy-backed Lie `[n]`.
     """
 
     graph: MultiRobotGraph
-    inliers: Bool[np.ndarray, " m"]
+    is_true: Bool[np.ndarray, " m"]
     labels: Int[np.ndarray, " m"]
     truth: tuple[Any, ...]
 

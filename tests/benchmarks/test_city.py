@@ -209,7 +209,7 @@ def test_the_simulated_city_has_the_files_statistics(shared_data):
 def statistics(home):
     maps, true = home.graph.maps, np.concatenate([lie.translation(one) for one in home.truth])
     world = version_of(home, Law(), 0, 0)
-    merged = merge(world.graph, inliers=world.inliers, optimized=True)
+    merged = merge(world.graph, accepted=world.is_true, optimized=True)
     return {
         "loops": sum(one.num_edges - one.num_poses + 1 for one in maps),
         "extent": np.ptp(true, axis=0),

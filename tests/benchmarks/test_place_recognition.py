@@ -82,7 +82,7 @@ def test_truth_and_labels_of_both_collections(data):
         np.testing.assert_allclose(
             lie.translation(candidates.truth), square_walk()[:, :2], atol=1e-6
         )
-        assert candidates.inliers.tolist() == right
+        assert candidates.is_true.tolist() == right
         assert candidates.listed == (name == KITTI)
     nearer = real.within_tolerance(candidates.graph, candidates.truth, (0.03, 10.0))
     assert 0 < nearer.sum() < len(RIGHT)
@@ -106,7 +106,7 @@ def test_factors_find_a_factor(data):
     for factor in (1.0, 0.5):
         graph = real.rescaled(candidates.graph, real.Factors(factor, factor))
         selection = select_within(graph)
-        right = candidates.inliers[selection.closures]
+        right = candidates.is_true[selection.closures]
         found.append(real.factors_of_data(dataclasses.replace(selection, accepted=right), graph))
     np.testing.assert_allclose(found[1], 2.0 * np.array(found[0]), rtol=1e-9)
 
@@ -202,9 +202,9 @@ def test_the_strictest_real_candidates(shared_data):
     assert noise["steps_against_truth_mean"] == pytest.approx(1.0, abs=0.01)
     assert noise["right_against_truth_mean"] > 100.0
     assert noise["largest_error_of_right_m"] < 2.0 < 50.0 < noise["smallest_error_of_false_m"]
-    right = candidates.inliers[selection.closures]
+    right = candidates.is_true[selection.closures]
     assert selection.accepted.tolist() == right.tolist()
-    figures = place_recognition._trajectory(candidates, selection.inliers, 0.0)
+    figures = place_recognition._trajectory(candidates, selection.kept, 0.0)
     assert figures["ate_rmse"] < 2.5
     odometry = real.chained(candidates.graph)
     assert ate_rmse(odometry, candidates.truth, align="umeyama") > 20.0
@@ -213,5 +213,5 @@ def test_the_strictest_real_candidates(shared_data):
 def test_the_strictest_real_registrations(shared_data):
     candidates = real.load(shared_data, "B25b_1.000")
     assert candidates.graph.num_poses == 8_358
-    assert candidates.inliers.sum() == (~real.steps(candidates.graph)).sum() == 23
+    assert candidates.is_true.sum() == (~real.steps(candidates.graph)).sum() == 23
     assert select_within(candidates.graph).accepted.all()

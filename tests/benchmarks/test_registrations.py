@@ -63,11 +63,11 @@ def test_errors_are_duderstadts():
 
 def test_numbers_of_the_paper(version):
     counts = registrations.counts_by_kind(version.kinds, np.ones(len(version.kinds), bool))
-    assert counts["true"] == version.inliers.sum() == 10
+    assert counts["true"] == version.is_true.sum() == 10
     assert sum(counts.values()) == len(version.graph.closures) == 108
     assert counts["aliased"] == 8
     assert abs(counts["near_identity"] - counts["swapped"]) <= 1
-    np.testing.assert_array_equal(version.inliers, version.kinds == "true")
+    np.testing.assert_array_equal(version.is_true, version.kinds == "true")
 
 
 def test_only_the_threshold_says_what_is_right(version):
@@ -77,7 +77,7 @@ def test_only_the_threshold_says_what_is_right(version):
         for robot, pose in enumerate((closures.pose_a, closures.pose_b))
     ]
     exact, measured = lie.between(*ends), lie.as_numpy(closures.measurement)
-    np.testing.assert_array_equal(registrations.is_right(measured, exact), version.inliers)
+    np.testing.assert_array_equal(registrations.is_right(measured, exact), version.is_true)
     near = np.linalg.norm(lie.translation(exact), axis=1) <= registrations.REACH
     np.testing.assert_array_equal(near, np.isin(version.kinds, ["true", "poor"]))
     looks_near = np.linalg.norm(lie.translation(measured), axis=1) < 6.0

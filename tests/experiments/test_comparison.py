@@ -28,16 +28,16 @@ def compared(world):
         "told": BEYOND_THE_PAPER["dcs-true-start"],
         "everything": BEYOND_THE_PAPER["everything"],
     }
-    return compare_methods(world.graph, world.inliers, world.truth, methods=methods)
+    return compare_methods(world.graph, world.is_true, world.truth, methods=methods)
 
 
 def test_a_row_is_what_merge_makes_of_the_method(world, compared):
     result = merge(world.graph)
-    np.testing.assert_array_equal(compared["pcm"].accepted, result.inliers)
+    np.testing.assert_array_equal(compared["pcm"].accepted, result.accepted)
     figures = compared["pcm"].figures
     assert figures["ate_rmse"] == pytest.approx(ate_rmse(result.graph.maps, world.truth), abs=1e-9)
     assert figures["chi2"] == pytest.approx(result.solution.normalized_chi2, rel=1e-9)
-    assert figures["accepted"] == result.inliers.sum()
+    assert figures["accepted"] == result.accepted.sum()
 
 
 def test_the_reference_and_what_bounds_the_methods(world, compared):
@@ -47,7 +47,7 @@ def test_the_reference_and_what_bounds_the_methods(world, compared):
     assert reference["translation_mse_from_reference"] == pytest.approx(0.0, abs=1e-18)
     everything = compared["everything"].figures
     assert (everything["tpr"], everything["fpr"]) == (1.0, 1.0)
-    assert everything["precision"] == pytest.approx(world.inliers.mean())
+    assert everything["precision"] == pytest.approx(world.is_true.mean())
     assert everything["chi2"] > 100 * reference["chi2"]
 
 
@@ -60,25 +60,25 @@ def test_robust_methods_keep_maps_in_one_frame_and_can_be_told_the_truth(compare
 
 def test_without_a_truth_there_are_rates_but_no_map_errors(world):
     methods = {"exact": Method("pcm-exact"), "greedy": Method("pcm-heuristic")}
-    results = compare_methods(world.graph, world.inliers, methods=methods)
+    results = compare_methods(world.graph, world.is_true, methods=methods)
     assert results["exact"].figures["tpr"] == 1.0
     assert "translation_mse" not in results["exact"].figures
     assert "translation_mse_from_reference" in results["exact"].figures
     with pytest.raises(InputError, match="truth: None"):
         told = {"told": BEYOND_THE_PAPER["dcs-true-start"]}
-        compare_methods(world.graph, world.inliers, methods=told)
+        compare_methods(world.graph, world.is_true, methods=told)
 
 
 def test_confidence_and_options_reach_the_method(world):
     methods = {f"{p}": Method("pcm-exact", p) for p in (0.05, 0.99)}
-    results = compare_methods(world.graph, world.inliers, methods=methods)
+    results = compare_methods(world.graph, world.is_true, methods=methods)
     for label, method in methods.items():
-        chosen = select(world.graph, confidence=method.confidence).inliers
+        chosen = select(world.graph, confidence=method.confidence).accepted
         np.testing.assert_array_equal(results[label].accepted, chosen)
     assert results["0.05"].figures["accepted"] < results["0.99"].figures["accepted"]
     with pytest.raises(InputError, match="nonsense"):
         wrong = {"wrong": Method("scgp", options=(("nonsense", 1),))}
-        compare_methods(world.graph, world.inliers, methods=wrong)
+        compare_methods(world.graph, world.is_true, methods=wrong)
 
 
 def test_means_over_graphs(compared):
@@ -87,5 +87,5 @@ def test_means_over_graphs(compared):
 
 
 def test_a_wrong_mask_is_named(world):
-    with pytest.raises(InputError, match=r"inliers: int64 \[3\] given, expected bool \[23\]"):
+    with pytest.raises(InputError, match=r"is_true: int64 \[3\] given, expected bool \[23\]"):
         compare_methods(world.graph, np.arange(3))

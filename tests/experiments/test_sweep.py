@@ -31,7 +31,7 @@ def test_rows_are_what_the_host_finds(whole):
     assert len(rows) == WORLDS * len(each)
     for number in (0, 1, 63, 64, WORLDS - 1):
         world = draw(jax.random.fold_in(jax.random.key(GRID["seed"]), number))
-        squared, inliers = np.asarray(squared_mahalanobis(world.problem)), np.asarray(world.inliers)
+        squared, inliers = np.asarray(squared_mahalanobis(world.problem)), np.asarray(world.is_true)
         for row, (method, confidence) in zip(rows[number * len(each) :], each, strict=False):
             kept = select_from(squared, float(chi2_gate(confidence, 3)), method=method)
             assert row == {

@@ -195,7 +195,7 @@ def test_weights_of_zero_and_one_are_a_merge(three, off):
     """All three together, by fewer closures, robot 1 alone, all alone."""
     inliers = np.ones(5, bool)
     inliers[list(off)] = False
-    expected = merge(three, inliers=inliers, optimized=True)
+    expected = merge(three, accepted=inliers, optimized=True)
     found = merge_differentiable(three, inliers)
     for own, merged in zip(found, expected.graph.maps, strict=True):
         np.testing.assert_allclose(lie.as_matrix(own), lie.as_matrix(merged.poses), atol=1e-6)
@@ -314,9 +314,9 @@ def test_city10000_in_a_few_solves(shared_data):
     ahead, behind = (float(run(scaled(along, h), at)[0]) for h in (1e-3, -1e-3))
     np.testing.assert_allclose(forward, (ahead - behind) / 2e-3, rtol=1e-6)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-    joint = merge(graph, inliers=weights > 0.0, optimized=True).graph
+    joint = merge(graph, accepted=weights > 0.0, optimized=True).graph
     solves = [
-        time_of(lambda: merge(joint, inliers=weights > 0.0, optimized=True)) for _ in range(3)
+        time_of(lambda: merge(joint, accepted=weights > 0.0, optimized=True)) for _ in range(3)
     ]
     derivatives = [time_of(lambda: jax.block_until_ready(run(at, along))) for _ in range(3)]
     assert min(derivatives) < 5.0 * min(solves)

@@ -157,7 +157,7 @@ def near(anchors, *by):
 @pytest.mark.parametrize("method", ["dcs", "switchable"])
 def test_from_the_identity_everything_is_rejected(far_world, method):
     result = merge(far_world, method=method, optimized=True)
-    assert not result.inliers.any()
+    assert not result.accepted.any()
     assert result.groups == ((0,), (1,))
     assert result.robust.converged
     assert (result.robust.scale < 1e-2).all()
@@ -179,7 +179,7 @@ def test_undamped_steps_follow_the_nearest_closures(far_world):
 @pytest.mark.parametrize("by", [(0.0, 0.0, 0.0), (0.1, -0.1, 0.01)])
 def test_from_the_truth_the_true_ones_are_accepted(far_world, method, by):
     result = merge(far_world, method=method, optimized=True, anchors=near(FAR, *by))
-    np.testing.assert_array_equal(result.inliers, TRUTH)
+    np.testing.assert_array_equal(result.accepted, TRUTH)
     assert result.groups == ((0, 1),)
     assert result.solution.converged
     np.testing.assert_allclose(lie.as_matrix(result.anchors), lie.as_matrix(FAR), atol=0.02)
@@ -190,7 +190,7 @@ def test_from_the_truth_the_true_ones_are_accepted(far_world, method, by):
 @pytest.mark.parametrize("start", ["closures", "identity"])
 def test_graduated_non_convexity_needs_no_good_start(far_world, start):
     result = merge(far_world, method="gnc", optimized=True, initial=start)
-    np.testing.assert_array_equal(result.inliers, TRUTH)
+    np.testing.assert_array_equal(result.accepted, TRUTH)
     assert set(result.robust.scale) == {0.0, 1.0}
 
 
@@ -198,7 +198,7 @@ def test_graduated_non_convexity_outlasts_maps_that_spring_back():
     """All closures together bend these maps; at the next weights each is worse than any before."""
     world = simulate_city(seed=4, poses=100, blocks=4, inliers=8, aliased_groups=0, random=4)
     result = merge(world.graph, method="gnc")
-    np.testing.assert_array_equal(result.inliers, world.inliers)
+    np.testing.assert_array_equal(result.accepted, world.is_true)
 
 
 def scalar_fixed_point(places, weigh):
@@ -227,7 +227,7 @@ def test_the_answer_of_one_unknown(method, options, weigh):
     rows = [(0, 0, 1, 0, (place, 0.0, 0.0)) for place in places]
     graph = MultiRobotGraph(maps, closures_between(placed, rows))
     result = merge(graph, method=method, optimized=True, **options)
-    assert result.inliers.tolist() == [True, True, False]
+    assert result.accepted.tolist() == [True, True, False]
     found = np.asarray(lie.as_matrix(result.anchors))[1, :2, 2]
     expected = scalar_fixed_point(places, weigh)
     np.testing.assert_allclose(found, [expected, 0.0], atol=2e-4)
@@ -248,7 +248,7 @@ def test_robots_that_only_rejected_closures_connect_are_apart():
     ]
     graph = MultiRobotGraph(maps, closures_between(placed, rows))
     result = merge(graph, method="dcs", optimized=True, anchors=anchors)
-    assert result.inliers.tolist() == [False, False, True, True, True, True]
+    assert result.accepted.tolist() == [False, False, True, True, True, True]
     assert result.groups == ((0,), (1, 2))
     for robot in (0, 1):  # each the first of its group
         np.testing.assert_allclose(
@@ -267,9 +267,9 @@ def test_robots_that_only_rejected_closures_connect_are_apart():
 
 def test_too_few_accepted_are_none(far_world):
     options = {"method": "dcs", "optimized": True, "anchors": FAR}
-    assert merge(far_world, minimum_inliers=4, **options).inliers.sum() == 4
+    assert merge(far_world, minimum_inliers=4, **options).accepted.sum() == 4
     fewer = merge(far_world, minimum_inliers=5, **options)
-    assert not fewer.inliers.any()
+    assert not fewer.accepted.any()
     assert fewer.robust.accepted.sum() == 4
 
 
@@ -301,7 +301,7 @@ def test_bad_options(far_world):
         ({"method": "dcs", "ph": 1.0}, "ph: not an option of method 'dcs', expected one of .*phi"),
         ({"method": "gnc", "time_limit": 1.0}, "time_limit: not an option of method 'gnc'"),
         ({"method": "all", "phi": 1.0}, "phi: not an option that goes with method 'all'"),
-        ({"inliers": TRUTH, "phi": 1.0}, "phi: not an option that goes with inliers="),
+        ({"accepted": TRUTH, "phi": 1.0}, "phi: not an option that goes with accepted="),
         ({"method": "dcs", "phi": 0.0}, "phi: 0.0, expected above 0"),
         ({"method": "switchable", "prior": -1.0}, "prior: -1.0, expected above 0"),
         ({"method": "max-mixture", "null_scale": 0.5}, "null_scale: 0.5, expected above 0"),

@@ -38,7 +38,7 @@ def world(request):
 
 @pytest.fixture(scope="module")
 def result(world):
-    return merge(world.graph, inliers=world.inliers)
+    return merge(world.graph, accepted=world.is_true)
 
 
 def with_explicit_anchors(graph, accepted, start):
@@ -89,9 +89,9 @@ def test_the_merged_frame_is_the_anchored_problem():
     world = simulate_city(seed=5, poses=14, inliers=4, aliased_groups=0, random=2)
     maps = tuple(optimize(m).graph for m in world.graph.maps)
     graph = MultiRobotGraph(maps, world.graph.closures)
-    start = aligned_anchors(graph, world.inliers, ((0, 1),))
-    poses, anchors, cost = with_explicit_anchors(graph, world.inliers, start)
-    result = merge(graph, inliers=world.inliers, optimized=True)
+    start = aligned_anchors(graph, world.is_true, ((0, 1),))
+    poses, anchors, cost = with_explicit_anchors(graph, world.is_true, start)
+    result = merge(graph, accepted=world.is_true, optimized=True)
     np.testing.assert_allclose(result.solution.cost, cost, rtol=1e-8)
     np.testing.assert_allclose(lie.as_matrix(result.anchors), lie.as_matrix(anchors), atol=1e-6)
     for robot in (0, 1):
@@ -102,7 +102,7 @@ def test_the_merged_frame_is_the_anchored_problem():
 
 def test_pcm_keeps_the_true_closures(world):
     result = merge(world.graph)
-    assert (result.inliers == world.inliers).all()
+    assert (result.accepted == world.is_true).all()
     assert result.groups == ((0, 1),)
     assert result.solution.converged
     assert 0.8 < result.solution.normalized_chi2 < 1.2
@@ -122,7 +122,7 @@ def test_moving_one_map_moves_only_its_anchor(world, result):
     moved = graph.maps[1].with_poses(
         lie.as_device(lie.compose(far, lie.as_numpy(graph.maps[1].poses)))
     )
-    other = merge(MultiRobotGraph((graph.maps[0], moved), graph.closures), inliers=world.inliers)
+    other = merge(MultiRobotGraph((graph.maps[0], moved), graph.closures), is_true=world.is_true)
     for robot in (0, 1):
         np.testing.assert_allclose(
             lie.as_matrix(other.graph.maps[robot].poses),
@@ -146,7 +146,7 @@ def test_the_order_of_closures_and_robots_does_not_matter(world, result):
         information=transported(graph.closures),
     )[shuffle]
     other = merge(MultiRobotGraph(graph.maps, flipped))
-    np.testing.assert_array_equal(other.inliers, world.inliers[shuffle])
+    np.testing.assert_array_equal(other.accepted, world.is_true[shuffle])
     np.testing.assert_allclose(other.solution.cost, result.solution.cost, rtol=1e-7)
 
 
@@ -160,7 +160,7 @@ def test_anchor_covariance_is_that_of_the_first_pose(world, result):
     """Monte Carlo would need many merges: the dense inverse of the joint information instead."""
     graph, members = result.graph, (0, 1)
     identity = lie.identity(graph.group, (2,))
-    joint = joint_graph(graph, members, np.flatnonzero(world.inliers), identity)
+    joint = joint_graph(graph, members, np.flatnonzero(world.is_true), identity)
     n, d = joint.num_poses, joint.tangent_dim
     from pcm_jax.mapping._linearization import linearize
 
@@ -190,18 +190,18 @@ def test_three_robots_make_one_group():
     world = three_robots()
     result = merge(world.graph)
     assert result.groups == ((0, 1, 2),)
-    np.testing.assert_array_equal(result.inliers, world.inliers)
+    np.testing.assert_array_equal(result.accepted, world.is_true)
 
 
 def test_anchors_are_chained_in_either_direction():
     """Robots a and b are tied only through c, so that b is placed against its own closures."""
     world = three_robots()
     robot_a, robot_b = np.asarray(world.graph.closures.robot_a), world.graph.closures.robot_b
-    accepted = world.inliers & ((robot_a == 2) | (np.asarray(robot_b) == 2))
+    accepted = world.is_true & ((robot_a == 2) | (np.asarray(robot_b) == 2))
     maps = tuple(optimize(m).graph for m in world.graph.maps)
     graph = MultiRobotGraph(maps, world.graph.closures)
     start = aligned_anchors(graph, accepted, ((0, 1, 2),))
-    found = merge(graph, inliers=accepted, optimized=True).anchors
+    found = merge(graph, accepted=accepted, optimized=True).anchors
     np.testing.assert_allclose(lie.as_matrix(start), lie.as_matrix(found), atol=0.3)
 
 
@@ -209,7 +209,7 @@ def test_robots_that_nothing_connects_stay_apart():
     world = three_robots()
     closures = world.graph.closures
     to_last = (np.asarray(closures.robot_a) == 2) | (np.asarray(closures.robot_b) == 2)
-    result = merge(world.graph, inliers=world.inliers & ~to_last)
+    result = merge(world.graph, accepted=world.is_true & ~to_last)
     assert result.groups == ((0, 1), (2,))
     report = result.report()
     assert report["anchors"][2] is None
@@ -222,7 +222,7 @@ def test_robots_that_nothing_connects_stay_apart():
 
 def test_too_few_inliers_accept_none(world):
     result = merge(world.graph, minimum_inliers=50)
-    assert not result.inliers.any()
+    assert not result.accepted.any()
     assert result.groups == ((0,), (1,))
 
 
@@ -230,7 +230,7 @@ def test_accepting_everything_is_reported_as_what_it_is(world):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", InputWarning)
         result = merge(world.graph, method="all")
-    assert result.inliers.all()
+    assert result.accepted.all()
     assert np.isfinite(result.solution.cost)
     assert result.solution.cost > 1000 * merge(world.graph).solution.cost
     told = any("did not converge" in str(warning.message) for warning in caught)
@@ -240,18 +240,18 @@ def test_accepting_everything_is_reported_as_what_it_is(world):
 def test_the_rebuild_reaches_the_batch_optimum(world, result):
     maps = result.maps
     graph = MultiRobotGraph(maps, world.graph.closures)
-    start = aligned_anchors(graph, world.inliers, ((0, 1),))
-    joint = joint_graph(graph, (0, 1), np.flatnonzero(world.inliers), start)
-    rebuilt = rebuild(joint, int(world.inliers.sum()))
+    start = aligned_anchors(graph, world.is_true, ((0, 1),))
+    joint = joint_graph(graph, (0, 1), np.flatnonzero(world.is_true), start)
+    rebuilt = rebuild(joint, int(world.is_true.sum()))
     assert rebuilt.converged
     np.testing.assert_allclose(rebuilt.cost, result.solution.cost, rtol=1e-7)
 
 
 def test_a_given_set_as_mask_or_indices(world):
-    by_mask = merge(world.graph, inliers=world.inliers)
-    by_index = merge(world.graph, inliers=np.flatnonzero(world.inliers))
+    by_mask = merge(world.graph, accepted=world.is_true)
+    by_index = merge(world.graph, accepted=np.flatnonzero(world.is_true))
     assert by_mask.method == "given"
-    np.testing.assert_array_equal(by_mask.inliers, by_index.inliers)
+    np.testing.assert_array_equal(by_mask.accepted, by_index.accepted)
     assert by_mask.solution.cost == by_index.solution.cost
 
 
@@ -259,20 +259,20 @@ def test_a_given_set_as_mask_or_indices(world):
 def test_merges_with_room_for_each_other_share_a_plan(world, result, engine, monkeypatch):
     sparsax = pytest.importorskip("sparsax")
     graph = MultiRobotGraph(result.maps, world.graph.closures)
-    true = np.flatnonzero(world.inliers)
-    false = np.flatnonzero(~world.inliers)[:1]
+    true = np.flatnonzero(world.is_true)
+    false = np.flatnonzero(~world.is_true)[:1]
     room = np.concatenate([true, false])
     sets = [true, true[1:], true[::2], np.concatenate([true[2:], false])]
-    alone = [merge(graph, inliers=each, optimized=True, engine=engine) for each in sets]
+    alone = [merge(graph, accepted=each, optimized=True, engine=engine) for each in sets]
 
     before, planned, plan = sparsax.cache_size(), [], assembly.front_tree
     monkeypatch.setattr(assembly, "front_tree", lambda *a: planned.append(len(a[1])) or plan(*a))
     options = {"optimized": True, "engine": engine, "room_for": room}
-    together = [merge(graph, inliers=each, **options) for each in sets]
+    together = [merge(graph, accepted=each, **options) for each in sets]
     made = len(planned) if engine == "blocks" else sparsax.cache_size() - before
     assert made == 1
     for one, other in zip(alone, together, strict=True):
-        np.testing.assert_array_equal(other.inliers, one.inliers)
+        np.testing.assert_array_equal(other.accepted, one.is_true)
         assert other.solution.cost == pytest.approx(one.solution.cost, rel=1e-9)
         assert other.solution.normalized_chi2 == pytest.approx(one.solution.normalized_chi2)
         assert other.solution.iterations == one.solution.iterations
@@ -282,9 +282,9 @@ def test_merges_with_room_for_each_other_share_a_plan(world, result, engine, mon
 
 def test_room_between_groups_joins_nobody(world, result):
     graph = MultiRobotGraph(result.maps, world.graph.closures)
-    apart = merge(graph, inliers=[], room_for=world.inliers, optimized=True)
+    apart = merge(graph, accepted=[], room_for=world.is_true, optimized=True)
     assert apart.groups == ((0,), (1,))
-    assert apart.solution.cost == merge(graph, inliers=[], optimized=True).solution.cost
+    assert apart.solution.cost == merge(graph, accepted=[], optimized=True).solution.cost
 
 
 def test_report_is_plain_and_complete(world):
@@ -292,12 +292,12 @@ def test_report_is_plain_and_complete(world):
     report = json.loads(json.dumps(result.report(), allow_nan=False))
     assert report["version"] == pcm_jax.__version__
     assert report["confidence"] == 0.99
-    assert [c["accepted"] for c in report["closures"]] == result.inliers.tolist()
-    assert [c["index"] for c in report["closures"]] == list(range(len(result.inliers)))
+    assert [c["accepted"] for c in report["closures"]] == result.accepted.tolist()
+    assert [c["index"] for c in report["closures"]] == list(range(len(result.accepted)))
     assert set(report["solution"]) == {"cost", "normalized_chi2", "iterations", "converged"}
     (pair,) = report["robot_pairs"]
     assert (pair["a"], pair["b"], pair["optimal"]) == ("a", "b", True)
-    assert pair["accepted"] == pair["upper_bound"] == world.inliers.sum()
+    assert pair["accepted"] == pair["upper_bound"] == world.is_true.sum()
     stages = {"optimize", "marginals", "consistency", "clique", "merge", "compile"}
     assert set(report["seconds"]) == stages
 
@@ -319,7 +319,7 @@ def test_no_degree_of_freedom_is_no_number():
             )
         )
     graph = MultiRobotGraph(tuple(chains), world.graph.closures)
-    result = merge(graph, inliers=np.flatnonzero(world.inliers)[:1])
+    result = merge(graph, accepted=np.flatnonzero(world.is_true)[:1])
     assert result.solution.normalized_chi2 is None
     assert result.solution.cost < 1e-12
 
@@ -327,7 +327,7 @@ def test_no_degree_of_freedom_is_no_number():
 def test_plot_draws_the_merged_maps(world, result):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
-    axes = result.plot(truth=world.inliers)
+    axes = result.plot(is_true=world.is_true)
     assert axes.get_xlabel()
     matplotlib.pyplot.close(axes.figure)
 
@@ -340,12 +340,12 @@ def test_bad_arguments(world):
         merge(MultiRobotGraph(graph.maps[:1], LoopClosures.empty(graph.group)))
     with pytest.raises(InputError, match="2 robots but no closure between them"):
         merge(MultiRobotGraph(graph.maps, LoopClosures.empty(graph.group)))
-    with pytest.raises(InputError, match="inliers: shape"):
-        merge(graph, inliers=np.ones(3, bool))
-    with pytest.raises(InputError, match="inliers: index 999"):
-        merge(graph, inliers=[999])
+    with pytest.raises(InputError, match="accepted: shape"):
+        merge(graph, accepted=np.ones(3, bool))
+    with pytest.raises(InputError, match="accepted: index 999"):
+        merge(graph, accepted=[999])
     with pytest.raises(InputError, match="room_for: shape"):
-        merge(graph, inliers=[0, 1], room_for=np.ones(3, bool))
+        merge(graph, accepted=[0, 1], room_for=np.ones(3, bool))
     with pytest.raises(InputError, match="method: 'best', expected one of"):
         merge(graph, method="best")
 

@@ -27,9 +27,9 @@ def selection(world) -> Selection:
 
 
 def test_true_closures_are_found_and_false_ones_are_not(world, selection):
-    assert selection.inliers.shape == world.inliers.shape
-    assert np.mean(selection.inliers[world.inliers]) > 0.9
-    assert not selection.inliers[~world.inliers].any()
+    assert selection.accepted.shape == world.is_true.shape
+    assert np.mean(selection.accepted[world.is_true]) > 0.9
+    assert not selection.accepted[~world.is_true].any()
 
 
 def test_pairs_report_what_was_decided(world, selection):
@@ -37,12 +37,12 @@ def test_pairs_report_what_was_decided(world, selection):
     assert selection.gate == float(chi2_gate(0.99, 3))
     assert (selection.method, selection.confidence) == ("pcm-exact", 0.99)
     covered = np.concatenate([p.closures for p in selection.pairs])
-    assert sorted(covered.tolist()) == list(range(len(world.inliers)))
+    assert sorted(covered.tolist()) == list(range(len(world.is_true)))
     for pair in selection.pairs:
         robots = np.asarray(world.graph.closures.robot_a), np.asarray(world.graph.closures.robot_b)
         ends = {pair.robot_a, pair.robot_b}
         assert all({int(a[k]), int(b[k])} == ends for a, b in [robots] for k in pair.closures)
-        np.testing.assert_array_equal(selection.inliers[pair.closures], pair.accepted)
+        np.testing.assert_array_equal(selection.accepted[pair.closures], pair.accepted)
         np.testing.assert_array_equal(select_from(pair.squared, pair.gate), pair.accepted)
         assert pair.optimal
         assert pair.upper_bound == pair.accepted.sum()
@@ -57,14 +57,14 @@ def test_optimised_maps_are_not_optimised_again(world, selection):
     optimised = MultiRobotGraph(selection.maps, world.graph.closures)
     again = select(optimised, optimized=True)
     assert all(a is b for a, b in zip(again.maps, optimised.maps, strict=True))
-    np.testing.assert_array_equal(again.inliers, selection.inliers)
+    np.testing.assert_array_equal(again.accepted, selection.accepted)
 
 
 def test_direction_and_order_of_closures_do_not_matter(world, selection):
-    order = np.random.default_rng(0).permutation(len(world.inliers))
+    order = np.random.default_rng(0).permutation(len(world.is_true))
     closures = world.graph.closures[order]._flipped(np.arange(len(order)) % 2 == 0)
     turned = select(MultiRobotGraph(selection.maps, closures), optimized=True)
-    np.testing.assert_array_equal(turned.inliers, selection.inliers[order])
+    np.testing.assert_array_equal(turned.accepted, selection.accepted[order])
 
 
 @pytest.mark.parametrize("method", ["pcm-heuristic", "ransac", "scgp"])
@@ -91,7 +91,7 @@ def test_beyond_the_memory_limit_the_graph_is_streamed(world, selection, method)
     options = {"method": method, "optimized": True, "time_limit": 60.0}
     streamed = select(optimised, memory_limit=0, progress=told.append, **options)
     dense = select(optimised, progress=told.append, **options)
-    np.testing.assert_array_equal(streamed.inliers, dense.inliers)
+    np.testing.assert_array_equal(streamed.accepted, dense.accepted)
     for one, other in zip(streamed.pairs, dense.pairs, strict=True):
         with pytest.raises(InputError, match=r"squared: not kept .* between robots"):
             _ = one.squared
@@ -106,7 +106,7 @@ def test_what_needs_distances_gets_them_whatever_they_take(world, selection, opt
     optimised = MultiRobotGraph(selection.maps, world.graph.closures)
     limited = select(optimised, optimized=True, memory_limit=0, **options)
     usual = select(optimised, optimized=True, **options)
-    np.testing.assert_array_equal(limited.inliers, usual.inliers)
+    np.testing.assert_array_equal(limited.accepted, usual.accepted)
     for one, other in zip(limited.pairs, usual.pairs, strict=True):
         np.testing.assert_array_equal(one.squared, other.squared)
 
@@ -115,16 +115,16 @@ def test_too_few_inliers_are_none(world, selection):
     optimised = MultiRobotGraph(selection.maps, world.graph.closures)
     sizes = [pair.accepted.sum() for pair in selection.pairs]
     strict = select(optimised, optimized=True, minimum_inliers=max(sizes) + 1)
-    assert not strict.inliers.any()
+    assert not strict.accepted.any()
     assert [pair.upper_bound for pair in strict.pairs] == sizes
     one = MultiRobotGraph(selection.maps, world.graph.closures[np.array([0])])
-    assert not select(one, optimized=True).inliers.any()
-    assert select(one, optimized=True, minimum_inliers=1).inliers.all()
+    assert not select(one, optimized=True).accepted.any()
+    assert select(one, optimized=True, minimum_inliers=1).accepted.all()
 
 
 def test_a_graph_without_closures(selection):
     nothing = select(MultiRobotGraph(selection.maps), optimized=True)
-    assert nothing.inliers.shape == (0,)
+    assert nothing.accepted.shape == (0,)
     assert nothing.pairs == ()
 
 

@@ -82,11 +82,11 @@ def test_closures_join_their_poses(city):
 
 
 def test_known_truth_is_told_by_colour_dash_and_marker(city):
-    accepted = city.inliers.copy()
-    accepted[np.flatnonzero(city.inliers)[:2]] = False
-    accepted[np.flatnonzero(~city.inliers)[:3]] = True
+    accepted = city.is_true.copy()
+    accepted[np.flatnonzero(city.is_true)[:2]] = False
+    accepted[np.flatnonzero(~city.is_true)[:3]] = True
     ax = plots.plot_trajectories_with_closures(
-        city.truth, city.graph.closures, accepted=accepted, inliers=city.inliers
+        city.truth, city.graph.closures, accepted=accepted, is_true=city.is_true
     )
     assert set(legend_of(ax)) == {
         "robot a",
@@ -107,7 +107,7 @@ def test_known_truth_is_told_by_colour_dash_and_marker(city):
 
 def test_without_truth_closures_are_accepted_or_rejected(city):
     ax = plots.plot_trajectories_with_closures(
-        city.truth, city.graph.closures, accepted=city.inliers
+        city.truth, city.graph.closures, accepted=city.is_true
     )
     assert line(ax, "accepted").get_color() == plot_style.BLUE
     assert line(ax, "rejected").get_color() == plot_style.GREY
@@ -128,7 +128,7 @@ def test_a_plane_has_no_third_axis(city):
         plots.plot_trajectories_with_closures(city.truth, projection="xz")
 
 
-@pytest.mark.parametrize("mask", ["accepted", "inliers"])
+@pytest.mark.parametrize("mask", ["accepted", "is_true"])
 def test_masks_of_another_length_are_refused(city, mask):
     with pytest.raises(InputError, match=mask):
         plots.plot_trajectories_with_closures(
@@ -137,19 +137,19 @@ def test_masks_of_another_length_are_refused(city, mask):
 
 
 def test_a_merge_says_how_much_it_accepted(city):
-    result = SimpleNamespace(graph=city.graph, inliers=city.inliers)
+    result = SimpleNamespace(graph=city.graph, accepted=city.is_true)
     ax = pyplot.figure().subplots()
     assert plots.plot_merge(result, ax) is ax
     assert ax.get_title() == "6 of 23 closures accepted"
-    assert "accepted, true (6)" in legend_of(plots.plot_merge(result, truth=city.inliers))
+    assert "accepted, true (6)" in legend_of(plots.plot_merge(result, is_true=city.is_true))
 
 
 def test_a_comparison_lays_all_maps_over_the_first_at_one_scale(city):
     motion = lie.exp(lie.group_of(city.truth[0]), np.array([30.0, -80.0, 2.0]))
     moved = [lie.compose(motion, truth) for truth in city.truth]
-    every = np.ones_like(city.inliers)
-    panels = {"truth": (city.truth, None), "all": (moved, every), "PCM": (moved, city.inliers)}
-    axes = plots.plot_comparison(panels, city.graph.closures, inliers=city.inliers)
+    every = np.ones_like(city.is_true)
+    panels = {"truth": (city.truth, None), "all": (moved, every), "PCM": (moved, city.is_true)}
+    axes = plots.plot_comparison(panels, city.graph.closures, is_true=city.is_true)
     assert [ax.get_title() for ax in axes] == list(panels)
     for ax in axes[1:]:
         assert ax.get_xlim() == axes[0].get_xlim()
@@ -170,7 +170,7 @@ def test_a_comparison_lays_all_maps_over_the_first_at_one_scale(city):
 
 
 def test_a_comparison_fits_its_figure(city):
-    panels = {"truth": (city.truth, None), "PCM": (city.truth, city.inliers)}
+    panels = {"truth": (city.truth, None), "PCM": (city.truth, city.is_true)}
     figure = plots.plot_comparison(panels, city.graph.closures)[0].figure
     figure.canvas.draw()
     width, height = figure.canvas.get_width_height()
@@ -184,7 +184,7 @@ def test_a_comparison_fits_its_figure(city):
 
 def test_a_comparison_can_be_drawn_into_given_axes(city):
     axes = pyplot.figure().subplots(1, 2)
-    panels = {"truth": (city.truth, None), "PCM": (city.truth, city.inliers)}
+    panels = {"truth": (city.truth, None), "PCM": (city.truth, city.is_true)}
     drawn = plots.plot_comparison(panels, city.graph.closures, axes=axes)
     assert drawn == list(axes)
     axes[0].figure.canvas.draw()
@@ -241,7 +241,7 @@ def test_a_clique_lights_up_in_the_consistency_graph():
 def test_the_consistency_graph_shows_mistakes_where_truth_is_known():
     graph = ~np.eye(6, dtype=bool)
     members, inliers = np.array([1, 1, 1, 0, 0, 0], bool), np.array([1, 1, 0, 1, 0, 0], bool)
-    ax = plots.plot_consistency_graph(graph, members, inliers=inliers)
+    ax = plots.plot_consistency_graph(graph, members, is_true=inliers)
     assert legend_of(ax) == [
         "in the clique, true (2)",
         "in the clique, false (1)",
@@ -256,7 +256,7 @@ def test_large_and_empty_graphs_are_drawn_without_numbers():
         assert not ax.texts
 
 
-@pytest.mark.parametrize("wrong", [{"members": np.ones(2, bool)}, {"inliers": np.ones(4, bool)}])
+@pytest.mark.parametrize("wrong", [{"members": np.ones(2, bool)}, {"is_true": np.ones(4, bool)}])
 def test_a_graph_refuses_masks_of_another_length(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         plots.plot_consistency_graph(np.zeros((3, 3), bool), **wrong)
@@ -268,7 +268,7 @@ def test_the_gate_is_drawn_beside_what_right_pairs_should_have():
     inliers = np.arange(40) < 30
     squared[:, ~inliers] *= 1e5
     squared += squared.T
-    ax = plots.plot_gate(squared, 11.34, dof=3, inliers=inliers)
+    ax = plots.plot_gate(squared, 11.34, dof=3, is_true=inliers)
     assert {"two true (435)", "one or both false (345)"} < set(legend_of(ax))
     for bars in ax.patches:
         assert bars.get_data().values.sum() == pytest.approx(100.0)
@@ -292,8 +292,8 @@ def test_the_gate_without_truth_counts_larger_directions():
     assert "pairs (3)" in legend_of(ax)
     values, edges, _ = bars.get_data()
     assert values[edges[:-1] > 10.0].sum() == pytest.approx(100.0 / 3.0)
-    with pytest.raises(InputError, match="inliers"):
-        plots.plot_gate(squared, 10.0, dof=1, inliers=np.ones(2, bool))
+    with pytest.raises(InputError, match="is_true"):
+        plots.plot_gate(squared, 10.0, dof=1, is_true=np.ones(2, bool))
     with pytest.raises(InputError, match="squared"):
         plots.plot_gate(np.ones((2, 3)), 10.0, dof=1)
 

@@ -75,8 +75,8 @@ def test_false_closures_are_rejected_however_many_agree(clean, dirty, selection)
     _, right = dirty
     loops = clean.num_edges - (POSES - 1)
     assert 100 < loops < ALIASED
-    assert not selection.inliers[~right].any()
-    assert selection.inliers[right].mean() > 0.95
+    assert not selection.kept[~right].any()
+    assert selection.kept[right].mean() > 0.95
     assert selection.optimal
     assert selection.upper_bound == selection.accepted.sum()
 
@@ -94,12 +94,12 @@ def test_odometry_is_one_edge_a_step_and_stays(dirty, selection):
     steps = np.minimum(tail, head)[selection.odometry]
     assert sorted(steps) == list(range(POSES - 1))
     assert (np.abs(tail - head)[selection.odometry] == 1).all()
-    assert selection.inliers[selection.odometry].all()
+    assert selection.kept[selection.odometry].all()
 
 
 def test_the_parts_fit_together(selection):
     np.testing.assert_array_equal(np.flatnonzero(~selection.odometry), selection.closures)
-    np.testing.assert_array_equal(selection.inliers[selection.closures], selection.accepted)
+    np.testing.assert_array_equal(selection.kept[selection.closures], selection.accepted)
     assert selection.gate == float(chi2_gate(0.99, 3))
     own = np.flatnonzero(selection.own_squared <= selection.gate)
     chosen = select_from(selection.squared[np.ix_(own, own)], selection.gate)
@@ -113,13 +113,13 @@ def test_the_cleaned_map(dirty, selection):
     kept = selection.graph
     assert (kept.name, kept.num_poses) == ("carol", POSES)
     np.testing.assert_array_equal(kept.ids, graph.ids)
-    assert kept.source.tolist() == graph.source[selection.inliers].tolist()
+    assert kept.source.tolist() == graph.source[selection.kept].tolist()
     assert kept.source[0].startswith("edge ")
     for field in ("tail", "head", "information"):
-        expected = np.asarray(getattr(graph, field))[selection.inliers]
+        expected = np.asarray(getattr(graph, field))[selection.kept]
         np.testing.assert_array_equal(getattr(kept, field), expected)
     again = select_within(kept)
-    assert again.inliers.all()
+    assert again.kept.all()
 
 
 def test_too_few_inliers_are_none(dirty, selection):
@@ -128,14 +128,14 @@ def test_too_few_inliers_are_none(dirty, selection):
     strict = select_within(dirty[0], minimum_inliers=size + 1)
     assert not strict.accepted.any()
     assert strict.upper_bound == size
-    np.testing.assert_array_equal(strict.inliers, strict.odometry)
+    np.testing.assert_array_equal(strict.kept, strict.odometry)
 
 
 def test_other_methods_by_name(dirty, selection):
     graph, right = dirty
     for method in ("pcm-heuristic", "ransac", "scgp"):
         other = select_within(graph, method=method)
-        assert not other.inliers[~right].any()
+        assert not other.kept[~right].any()
         assert (other.optimal is None) == (method != "pcm-heuristic")
 
 
@@ -148,7 +148,7 @@ def test_a_time_limit_is_reported(dirty):
 
 def test_no_closures(odometry_alone):
     nothing = select_within(odometry_alone)
-    assert nothing.inliers.all()
+    assert nothing.kept.all()
     assert nothing.squared.shape == (0, 0)
     assert (nothing.optimal, nothing.upper_bound) == (True, 0)
 
@@ -169,8 +169,8 @@ def test_cleaning_all_maps(dirty, odometry_alone, selection):
     graph, selections = clean_maps(graph, minimum_inliers=3)
     assert graph.maps[1] is odometry_alone
     assert selections[1] is None
-    np.testing.assert_array_equal(selections[0].inliers, selection.inliers)
-    assert [one.num_edges for one in graph.maps] == [selection.inliers.sum(), POSES - 1]
+    np.testing.assert_array_equal(selections[0].kept, selection.kept)
+    assert [one.num_edges for one in graph.maps] == [selection.kept.sum(), POSES - 1]
 
 
 def test_a_broken_chain_is_named_before_any_work(dirty, monkeypatch):

@@ -72,14 +72,14 @@ def rows_of(graph):
 def test_kept_closures_are_true_ones_as_they_were(clean):
     graph, truth = clean
     world = add_clutter(graph, truth, seed=1, inliers=15)
-    kept = MultiRobotGraph(graph.maps, world.graph.closures[world.inliers])
+    kept = MultiRobotGraph(graph.maps, world.graph.closures[world.is_true])
     assert rows_of(kept) < rows_of(graph)
     original = dict(zip(graph.closures.source, np.asarray(graph.closures.information), strict=True))
     for source, information in zip(
         kept.closures.source, np.asarray(kept.closures.information), strict=True
     ):
         assert np.array_equal(original[source], information)
-    assert (world.graph.closures[~world.inliers].source == "").all()
+    assert (world.graph.closures[~world.is_true].source == "").all()
 
 
 def test_the_counts_are_those_of_the_paper_by_default(clean):
@@ -87,7 +87,7 @@ def test_the_counts_are_those_of_the_paper_by_default(clean):
     labels, counts = np.unique(world.labels, return_counts=True)
     assert labels.tolist() == [-1, 0, 1, 2]
     assert counts.tolist() == [90, 15, 5, 5]
-    assert add_clutter(*clean, seed=1, inliers=None).inliers.sum() == 60
+    assert add_clutter(*clean, seed=1, inliers=None).is_true.sum() == 60
 
 
 def test_maps_and_truth_are_left_alone(clean):
@@ -102,7 +102,7 @@ def test_false_closures_carry_the_information_of_true_ones(clean):
     graph, truth = clean
     known = {information.tobytes() for information in np.asarray(graph.closures.information)}
     world = add_clutter(graph, truth, seed=2)
-    false = np.asarray(world.graph.closures[~world.inliers].information)
+    false = np.asarray(world.graph.closures[~world.is_true].information)
     assert {information.tobytes() for information in false} <= known
     assert len(np.unique(false, axis=0)) > 30
 
@@ -119,7 +119,7 @@ def test_closures_stored_backwards_are_turned_round(clean):
         information=closures.information,
     )
     world = add_clutter(MultiRobotGraph(graph.maps, backwards), truth, seed=1, inliers=None)
-    assert np.abs(errors(world.graph, truth)[world.inliers]).max() < 0.1
+    assert np.abs(errors(world.graph, truth)[world.is_true]).max() < 0.1
     assert (np.asarray(world.graph.closures.robot_a) == 0).all()
 
 
@@ -131,7 +131,7 @@ def test_pairs_without_closures_get_no_clutter_unless_information_is_given(clean
     assert add_clutter(larger, poses).graph.closures.pairs() == [(0, 1)]
     given = add_clutter(larger, poses, inliers=None, information=np.eye(3))
     assert given.graph.closures.pairs() == [(0, 1), (0, 2), (1, 2)]
-    false = given.graph.closures[~given.inliers]
+    false = given.graph.closures[~given.is_true]
     assert np.array_equal(false.information, np.broadcast_to(np.eye(3), (300, 3, 3)))
 
 

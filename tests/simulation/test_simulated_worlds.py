@@ -99,12 +99,12 @@ def test_closures_called_true_are_and_no_others(world):
     measured, at_a, at_b = ends(world, np.arange(len(world.labels)))
     squared = squared_errors(lie.between(at_a, at_b), measured, world.graph.closures.information)
     d = world.graph.tangent_dim
-    assert stats.kstest(squared[world.inliers], "chi2", (d,)).pvalue > 0.01
-    assert squared[~world.inliers].min() > stats.chi2.ppf(1 - 1e-6, d)
+    assert stats.kstest(squared[world.is_true], "chi2", (d,)).pvalue > 0.01
+    assert squared[~world.is_true].min() > stats.chi2.ppf(1 - 1e-6, d)
 
 
 def test_true_closures_lie_within_reach(world):
-    _, at_a, at_b = ends(world, world.inliers)
+    _, at_a, at_b = ends(world, world.is_true)
     between = lie.log(lie.between(at_a, at_b))
     space = 2 if world.graph.tangent_dim == 3 else 3
     apart = np.linalg.norm(
@@ -115,7 +115,7 @@ def test_true_closures_lie_within_reach(world):
 
 
 def test_labels_count_what_was_asked_for_in_shuffled_order(world):
-    assert np.array_equal(world.inliers, world.labels == 0)
+    assert np.array_equal(world.is_true, world.labels == 0)
     values, counts = np.unique(world.labels, return_counts=True)
     assert values.tolist() == [-1, 0, 1, 2, 3]
     assert counts.tolist() == [50, 40, 8, 8, 8]
