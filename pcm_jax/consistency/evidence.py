@@ -26,7 +26,7 @@ KEPT_GATES = 2
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PairEvidence:
-    """What the k closures between two robots say of each other.
+    """The evidence of the k closures between two robots: what they say of each other.
 
     Attributes:
         robot_a: index of the robot with the smaller index.
@@ -70,7 +70,7 @@ class PairEvidence:
 
     @property
     def is_streamed(self) -> bool:
-        """Whether the distances took more memory than allowed, so that only graphs are at hand."""
+        """True where the distances took more memory than allowed: only graphs are at hand."""
         return self._squared is None
 
     @property
@@ -114,7 +114,7 @@ class PairEvidence:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evidence:
-    """What the closures of a graph say of each other, for every pair of robots.
+    """The evidence of a graph: what its closures say of each other, for every pair of robots.
 
     Attributes:
         graph: as given.

@@ -79,8 +79,7 @@ def weigh(
         ConvergenceWarning: for a map whose optimisation stopped before it converged.
     """
     metric = _checked_metric(metric)
-    if not memory_limit >= 0:
-        raise InputError(f"memory_limit: {memory_limit}, expected bytes, at least 0")
+    memory_limit = checked_limit(memory_limit)
     tell, watch = progress or silent, StopWatch()
     with watch("optimize"):
         maps = optimized_maps(graph.maps, optimized, tell)
@@ -102,7 +101,7 @@ def weigh(
             squared = _weighed(covariances[a], covariances[b], closures, watch)
             pairs.append(PairEvidence(a, b, indices, closures, squared))
     tell("consistency", len(between), len(between))
-    name = getattr(metric, "__name__", "function") if callable(metric) else metric
+    name = getattr(metric, "__name__", "function") if callable(metric) else MAHALANOBIS
     return Evidence(graph, maps, covariances, tuple(pairs), name, watch.seconds)
 
 
@@ -118,6 +117,13 @@ def optimized_maps(
         found.append(_optimised(one))
     tell("optimize", len(maps), len(maps))
     return tuple(found)
+
+
+def checked_limit(memory_limit: float) -> float:
+    """Bytes of at least 0; `InputError` for anything else."""
+    if not memory_limit >= 0:
+        raise InputError(f"memory_limit: {memory_limit}, expected bytes, at least 0")
+    return memory_limit
 
 
 def _optimised(pose_graph: PoseGraph) -> PoseGraph:
