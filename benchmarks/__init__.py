@@ -1,4 +1,4 @@
-"""What the package promises, and what the paper reports, measured.
+"""Measurements of what the package promises and of what the paper reports.
 
 `python -m benchmarks` runs the suite of promised figures (`benchmarks.suite`). Every experiment of
 the paper, and three beyond it, is a command of its own:

@@ -110,7 +110,7 @@ def candidates(kind: Kind, point: Point, seed: int, number: int) -> Candidates:
 
 
 def odometry(one: PoseGraph) -> Bool[np.ndarray, " e"]:
-    """Which edges join a pose to the next."""
+    """Marks the edges that join a pose to the next."""
     return np.asarray(one.head) - np.asarray(one.tail) == 1
 
 

@@ -42,7 +42,7 @@ FIGURES = {
 
 
 def block(results: Path = RESULTS) -> str:
-    """What stands between the markers."""
+    """The text between the markers."""
     literal, calibrated = (
         json.loads((results / name / "summary.json").read_text()) for name in ("city", "city-sqrt")
     )

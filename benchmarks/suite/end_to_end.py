@@ -82,7 +82,7 @@ def _median_import(code: str) -> float:
 
 
 def _python(*arguments: str, folder: str | None = None) -> str:
-    """What a fresh Python prints, with the user's own environment, not the benchmarks'."""
+    """Runs a fresh Python with the user's own environment, not the benchmarks': what it prints."""
     environment = {key: value for key, value in os.environ.items() if key not in ENVIRONMENT}
     done = subprocess.run(
         [sys.executable, *arguments],

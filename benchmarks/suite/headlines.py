@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 
 from benchmarks.suite.harness import ROOT, in_digits
 from benchmarks.suite.report import Entry, figure_of, metric_of, with_block
+from pcm_jax.tables import markdown
 
 README = ROOT / "README.md"
 MARKERS = "<!-- how fast: generated, do not edit -->", "<!-- end of how fast -->"
@@ -58,7 +59,7 @@ Entries = Mapping[str, Entry]
 
 def table(entries: Entries) -> str:
     """The promised figures as Markdown."""
-    lines = [("", "to reach", "measured", "`python -m benchmarks --only`"), ("---",) * 4]
+    lines = []
     for label, pattern in ROWS.items():
         name, entry = _worst(entries, pattern)
         metric = metric_of(name, entry)
@@ -67,11 +68,11 @@ def table(entries: Entries) -> str:
             value = f"**{value}**"
         only = pattern.partition("*")[0].rpartition("/")[0]
         lines.append((label, figure_of(entry, metric), value, f"`{only}`"))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown(("", "to reach", "measured", "`python -m benchmarks --only`"), lines)
 
 
 def missed(entries: Entries) -> str:
-    """What is missed, by reason, a line each."""
+    """Figures that are missed, by reason, a line each."""
     by_reason: dict[str, list[str]] = {}
     for name, entry in entries.items():
         promised = any(fnmatchcase(name, pattern) for pattern in ROWS.values())
@@ -85,7 +86,7 @@ def missed(entries: Entries) -> str:
 
 
 def _worst(entries: Entries, pattern: str) -> tuple[str, Entry]:
-    """What is farthest from its figure of the metrics that have a value, and one."""
+    """The metric farthest from its figure, of those that have a value, and one."""
     found = {name: entry for name, entry in entries.items() if fnmatchcase(name, pattern)}
 
     def by_how_much(name: str) -> float:

@@ -6,7 +6,6 @@ demo, merge, inspect, simulate     one module per command, each with a `run(argu
 inputs      the graph that the options describe
 outputs     where results may be written, checked before anything is computed
 progress    what is being done, for work that takes more than two seconds
-table       columns of text
 
 Nothing heavy is imported before a command needs it, so that `--help` answers at once.
 """

@@ -1,4 +1,4 @@
-"""What is being done, on standard error, for work that takes more than two seconds."""
+"""A line on standard error that says what is being done, once it takes more than two seconds."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ from pcm_jax.evaluation.metrics import (
     true_positive_rate,
 )
 from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.graph.checked import as_mask
 from pcm_jax.pipeline import merge, select
 from pcm_jax.selection import PairSelection, choose
 from pcm_jax.selection.methods import ALL_METHODS
@@ -81,7 +82,7 @@ BEYOND_THE_PAPER: dict[str, Method] = {
 
 
 class Compared(NamedTuple):
-    """What became of one method.
+    """The result of one method.
 
     Attributes:
         accepted: bool `[m]`.
@@ -133,12 +134,7 @@ def compare_methods(
             what `merge` raises.
     """
     rows = dict(PAPER | CALIBRATED if methods is None else methods)
-    right = np.asarray(is_true)
-    if right.dtype != bool or right.shape != (len(graph.closures),):
-        raise InputError(
-            f"is_true: {right.dtype} {list(right.shape)} given, expected bool "
-            f"[{len(graph.closures)}], one per closure"
-        )
+    right = as_mask(is_true, "is_true", len(graph.closures))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         bench = _Bench(graph, right, truth, rows, optimized, minimum_inliers, engine)
@@ -165,7 +161,7 @@ class _Selected(NamedTuple):
 
 
 class _Bench:
-    """What all methods share on one graph: maps, Q, merges by the same closures, the reference.
+    """All that methods share on one graph: maps, Q, merges by the same closures, the reference.
 
     All merges share one symbolic plan, with room for whatever a method selects; but for the merge
     by every closure, whose plan is large.

@@ -117,7 +117,7 @@ def sweep(
 
 
 class Outcomes(NamedTuple):
-    """What came of some worlds; `methods` and `confidences` as in the grid.
+    """The outcome of some worlds; `methods` and `confidences` as in the grid.
 
     Attributes:
         closures: int32 `[w]`, in all.
@@ -141,7 +141,7 @@ class Outcomes(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """What a program is compiled for.
+    """All that a program is compiled for.
 
     Attributes:
         methods: names.
@@ -159,7 +159,7 @@ class Shape(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """What a program is run with.
+    """All that a program is run with.
 
     Attributes:
         gates: float64 `[confidences]`, γ².
@@ -171,14 +171,14 @@ class Numbers(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """What is run on every world, and the worlds' law."""
+    """Methods and gates that are run on every world, and the worlds' law."""
 
     confidences: tuple[float, ...]
     shape: Shape
     numbers: Numbers
 
     def about(self, seed: int) -> dict[str, Any]:
-        """What rows depend on, as JSON has it."""
+        """All that rows depend on, as JSON has it."""
         numbers = {name: float(value) for name, value in self.numbers.law.items()}
         law = {name: getattr(value, "__name__", value) for name, value in self.shape.law}
         methods, confidences = list(self.shape.methods), list(self.confidences)

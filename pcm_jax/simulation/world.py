@@ -1,4 +1,4 @@
-"""What a simulation returns, and how clutter is added to maps whose truth is known."""
+"""The result of a simulation, and clutter for maps whose truth is known."""
 
 from __future__ import annotations
 

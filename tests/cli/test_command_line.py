@@ -6,11 +6,11 @@ import sys
 import time
 
 import pytest
+from pcm_jax.cli._table import table
 
 import pcm_jax
 from pcm_jax.cli import _progress as progress
 from pcm_jax.cli import inspect, main
-from pcm_jax.cli._table import table
 from pcm_jax.files import read_graph
 
 
