@@ -31,8 +31,9 @@ def test_markdown_plain_and_aligned():
 
 
 def test_columns_of_text_put_numbers_to_the_right():
-    text = columns_of_text(["robot", "poses"], [["a", 7], ["long one", 1200]])
-    assert text.splitlines() == ["robot     poses", "a             7", "long one   1200"]
+    assert columns_of_text(["name", "n"], [["x", 5], ["longer", 12.5]]) == (
+        "name       n\nx          5\nlonger  12.5"
+    )
 
 
 def test_numbers_are_told_from_words():
