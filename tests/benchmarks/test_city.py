@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import city
-from benchmarks.experiments import city_report, readme_table
+from benchmarks.experiments import city_report, table_one
 from benchmarks.experiments.cities import (
     Law,
     city_of_file,
@@ -224,7 +224,7 @@ def test_a_portion_that_is_none(shared_data):
         city_of_file(*files, slice(20, 22), "as-written")
 
 
-def test_the_readme_has_the_committed_table():
-    text = readme_table.README.read_text()
-    assert readme_table.with_block(text, readme_table.MARKERS, readme_table.block()) == text
+def test_the_report_has_the_committed_table():
+    text = table_one.REPORT.read_text()
+    assert table_one.with_block(text, table_one.MARKERS, table_one.block()) == text
     assert "| PCM-Exact 99 %, calibrated |" in text
