@@ -47,7 +47,6 @@ from benchmarks.experiments.drifting import (
     candidates,
     odometry,
     points,
-    with_edges,
 )
 from benchmarks.experiments.record import LIBRARY, write_csv
 from pcm_jax import (
@@ -140,7 +139,7 @@ def squared_distances(graph: MultiRobotGraph) -> dict[str, Float[np.ndarray, "m 
 def _of_map(one: PoseGraph, touched: np.ndarray) -> dict[str, Float[np.ndarray, "kd kd"]]:
     """Covariances that `consistency_problem` takes as the `marginals` of a map."""
     joint = joint_marginal_covariance(one, touched)
-    alone = with_edges(one, odometry(one))  # at the optimised poses: only the covariance differs
+    alone = one.with_edges(odometry(one))  # at the optimised poses: only the covariance differs
     own = np.kron(np.eye(len(touched)), np.ones((one.tangent_dim, one.tangent_dim)))
     chain = joint_marginal_covariance(alone, touched)
     return dict(zip(COVARIANCES, (joint, chain, own * joint), strict=True))

@@ -201,7 +201,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
     accepted = select_within(graph).kept
     solved = {
         "candidates all accepted": optimize(graph).graph,
-        "select_within": optimize(real.with_edges(graph, accepted)).graph,
+        "select_within": optimize(graph.with_edges(accepted)).graph,
     }
     runs = [run for run in versions.values() if is_version(run, name)]
     hardest = max(runs, key=lambda run: run["largest_false_set"] / run["largest_right_set"])
@@ -255,7 +255,7 @@ def sessions(graph: PoseGraph, cut: int, maps: str) -> MultiRobotGraph:
         first = lie.inverse(lie.take(lie.as_numpy(one.poses), 0))
         own = one.with_poses(lie.compose(first, lie.as_numpy(one.poses)))
         if maps == "odometry":
-            own = real.with_edges(own, real.steps(own))
+            own = own.with_edges(real.steps(own))
         elif maps == "cleaned" and not real.steps(own).all():
             own = select_within(own).graph
         made.append(own)
@@ -278,7 +278,7 @@ def across(graph: PoseGraph, cut: int) -> np.ndarray:
 def _trajectory(candidates: Candidates, kept: np.ndarray, seconds: float) -> dict[str, Any]:
     """Figures of the trajectory with some of its candidates, information as written."""
     graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
-    solution = optimize(real.with_edges(graph, kept))
+    solution = optimize(graph.with_edges(kept))
     accepted = kept & ~odometry
     freedom = graph.tangent_dim * max(1, int(accepted.sum()))
     return {

@@ -135,31 +135,12 @@ def within_tolerance(
     return near & (np.abs(error[:, 2]) <= np.radians(degrees)) & ~steps(graph)
 
 
-def with_edges(graph: PoseGraph, kept: Bool[np.ndarray, " e"]) -> PoseGraph:
-    """The same poses with some of the edges."""
-    return PoseGraph.from_arrays(
-        poses=lie.as_numpy(graph.poses),
-        tail=np.asarray(graph.tail)[kept],
-        head=np.asarray(graph.head)[kept],
-        measurement=lie.take(lie.as_numpy(graph.measurement), kept),
-        information=np.asarray(graph.information)[kept],
-        ids=graph.ids,
-        name=graph.name,
-        source=graph.source[kept],
-    )
-
-
 def chained(graph: PoseGraph) -> Any:
     """The poses that odometry alone adds up to, Lie `[n]`."""
-    odometry = steps(graph)
-    return lie.as_numpy(
-        PoseGraph.from_arrays(
-            tail=np.asarray(graph.tail)[odometry],
-            head=np.asarray(graph.head)[odometry],
-            measurement=lie.take(lie.as_numpy(graph.measurement), odometry),
-            information=np.asarray(graph.information)[odometry],
-        ).poses
-    )
+    odometry = graph.with_edges(steps(graph))
+    ends = {"tail": odometry.tail, "head": odometry.head}
+    measured = {"measurement": odometry.measurement, "information": odometry.information}
+    return lie.as_numpy(PoseGraph.from_arrays(**ends, **measured).poses)
 
 
 def rescaled(graph: PoseGraph, factors: Factors) -> PoseGraph:
