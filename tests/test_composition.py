@@ -92,6 +92,8 @@ def cases():
         "chi2_gate": Case(lambda p: pcm_jax.chi2_gate(p, 3), jnp.asarray(0.99), jnp.asarray(0.5)),
         "consistency_graph": Case(lambda q: pcm_jax.consistency_graph(q, gate), *pair),
         "maximum_clique_batched": Case(clique, *pair),
+        "select_batched": Case(selected, *pair),
+        "soft_select": Case(lambda q: pcm_jax.soft_select(q, gate, temperature=1.0), *pair),
         "merge_differentiable": Case(
             merged, jnp.asarray([1.0, 0.5, 0.2]), jnp.asarray([0.3, 0.9, 0.0])
         ),
