@@ -8,6 +8,22 @@ which may be wrong, to the closures to believe and one merged map:
 
 The names below and the modules `evaluation`, `experiments`, `lie`, `plots` and `simulation` are
 loaded when first used, so that `import pcm_jax` costs next to nothing.
+
+These go through JAX's transformations, alone and inside each other; – says that the result is a
+choice, constant between its jumps:
+
+| function | `jit` | `vmap` | `grad` | `jvp` |
+|---|---|---|---|---|
+| `squared_mahalanobis` | yes | yes | yes | yes |
+| `squared_mahalanobis_of` | yes | yes | yes | yes |
+| `chi2_gate` | yes | yes | yes | yes |
+| `consistency_graph` | yes | yes | – | – |
+| `maximum_clique_batched` | yes | yes | – | – |
+| `select_batched` | yes | yes | – | – |
+| `soft_select` | yes | yes | yes | yes |
+| `merge_differentiable` | yes | yes | yes | yes |
+| `true_positive_rate` | yes | yes | – | – |
+| `ate_rmse` | yes | yes | yes | yes |
 """
 
 from __future__ import annotations
