@@ -68,22 +68,22 @@ def demo(settings: Settings) -> dict[str, Measured]:
 
 def imports(settings: Settings) -> dict[str, Measured]:
     """Times imports, each in a fresh process: of the package, and of all that a merge needs."""
-    package = _seconds("import pcm_jax", after="import jax")
+    package = [_seconds("import pcm_jax", after="import jax") for _ in range(IMPORTS)]
     # In turn, so that a busy machine slows both alike.
     rounds = [(_seconds(MERGE), _seconds(FOUNDATIONS)) for _ in range(IMPORTS)]
     ours, theirs = map(statistics.median, zip(*rounds, strict=True))
     note = f"{in_words(ours)} against {in_words(theirs)}, {IMPORTS} rounds"
     return {
-        "pcm_jax": Measured(package, "loads nothing until a name is used"),
+        "pcm_jax": Measured(statistics.median(package), f"median of {IMPORTS} processes"),
         "merge_over_foundations": Measured(ours / theirs, note),
     }
 
 
-def _seconds(code: str, *, after: str = "") -> float:
+def _seconds(code: str, *, after: str = "pass") -> float:
     """The seconds that a fresh process takes for some code, what comes before it left out."""
     clock = "from time import perf_counter as now"
     program = f"{clock}; {after}; start = now(); {code}; print(now() - start)"
-    return float(_python("-c", program.replace("; ;", ";")))
+    return float(_python("-c", program))
 
 
 def _python(*arguments: str, folder: str | None = None) -> str:

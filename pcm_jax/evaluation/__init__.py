@@ -1,6 +1,8 @@
 """Measures of a result: rates of closures, errors of maps and trajectories, and their table.
 
-metrics   rates, map errors, trajectory errors
+    metrics   rates, map errors, trajectory errors
+
+Their table, `comparison_table`, is one of `pcm_jax.tables`.
 """
 
 from pcm_jax.evaluation.metrics import (
