@@ -10,10 +10,12 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
-from pcm_jax.files.candidates import read_candidates
-from pcm_jax.files.header import Scope, scope_of
-from pcm_jax.files.pose_file import PoseFile, Reading, read_pose_file
+from pcm_jax.files.formats import named, recognised
+from pcm_jax.files.formats.candidates import read_candidates
+from pcm_jax.files.pose_file import PoseFile, Reading
 from pcm_jax.files.robots import assemble
+from pcm_jax.files.scopes import Scope, scope_of
+from pcm_jax.files.source import Source
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 
@@ -68,7 +70,7 @@ def read_graph(
     reading = Reading(information, rotation_information, repair, format)
     if not paths:
         raise InputError("paths: none given, expected at least one file")
-    files = [read_pose_file(path, reading) for path in paths]
+    files = [_read(Source(path), reading) for path in paths]
     _check_one_group(files)
     maps, between = assemble(files, [_scope(file, number) for number, file in enumerate(files)])
     graph = MultiRobotGraph(maps, between)
@@ -84,6 +86,14 @@ def read_graph(
             stacklevel=2,
         )
     return graph
+
+
+def _read(source: Source, reading: Reading) -> PoseFile:
+    """One file, in the format asked for or recognised."""
+    found = named(reading.format) if reading.format else recognised(source)
+    if found.read is None:
+        raise InputError(f"format: {found.name!r} given, expected one that is read")
+    return found.read(source, reading)
 
 
 def _scope(file: PoseFile, number: int) -> Scope:

@@ -16,8 +16,8 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files.coordinates import upper_triangle
-from pcm_jax.files.header import ORDER_LINE, Scope
 from pcm_jax.files.pose_file import Lines, PoseFile
+from pcm_jax.files.scopes import ORDER_LINE, Scope
 from pcm_jax.files.text import sources
 from pcm_jax.graph import symbols
 from pcm_jax.graph.loop_closures import LoopClosures, find

@@ -1,4 +1,4 @@
-"""From a file's bytes to tables of numbers, with the line each row came from.
+"""From a file's lines to tables of numbers, with the line each row came from.
 
 Lines are split and converted in bulk; only when that fails are they looked at one by one, to name
 the culprit.
@@ -8,12 +8,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import gzip
-import lzma
-import zlib
 from collections.abc import Callable, Sequence
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,54 +16,6 @@ from jaxtyping import Float, Int
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.graph.validation import Fault, check_finite, raise_first
-
-GZIP_MAGIC, XZ_MAGIC = b"\x1f\x8b", b"\xfd7zXZ\x00"
-
-
-def read_lines(path: str | PathLike[str]) -> list[str]:
-    """The lines of a text file, which may be gzip- or xz-compressed (told by its first bytes).
-
-    Raises:
-        FileFormatError: for a file that is missing, unreadable, binary, or compressed and cut
-            short.
-    """
-    data = _decompressed(path, _read_bytes(path))
-    if b"\0" in data:
-        line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise FileFormatError(path, line, "binary data (a zero byte), expected text")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise FileFormatError(
-            path, line, f"binary data (byte {data[error.start]:#04x}), expected text"
-        ) from None
-    return text.replace("\r\n", "\n").split("\n")
-
-
-def _read_bytes(path: str | PathLike[str]) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise FileFormatError(path, None, "there is no such file") from None
-    except IsADirectoryError:
-        raise FileFormatError(path, None, "this is a folder, expected a file") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileFormatError(path, None, f"cannot be read: {reason}") from None
-
-
-def _decompressed(path: str | PathLike[str], data: bytes) -> bytes:
-    try:
-        if data.startswith(GZIP_MAGIC):
-            return gzip.decompress(data)
-        if data.startswith(XZ_MAGIC):
-            return lzma.decompress(data)
-    except (EOFError, OSError, lzma.LZMAError, zlib.error) as error:
-        raise FileFormatError(
-            path, None, f"damaged or truncated compressed file: {str(error).lower()}"
-        ) from None
-    return data
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,10 +21,11 @@ import numpy as np
 from pcm_jax import lie
 from pcm_jax.errors import InputWarning
 from pcm_jax.files import coordinates
+from pcm_jax.files.formats._tags import COLUMNS
 from pcm_jax.files.output import write_text
 from pcm_jax.files.pose_file import Reading, definite
-from pcm_jax.files.tags import COLUMNS
-from pcm_jax.files.text import Rows, csv_rows, read_lines
+from pcm_jax.files.source import read_lines
+from pcm_jax.files.text import Rows, csv_rows
 from pcm_jax.graph.loop_closures import LoopClosures, pose_indices
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph

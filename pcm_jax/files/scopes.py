@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from pcm_jax.errors import FileFormatError, InputWarning
-from pcm_jax.files.text import csv_rows, read_lines
+from pcm_jax.files.source import read_lines
+from pcm_jax.files.text import csv_rows
 from pcm_jax.graph import symbols
 
 ROBOT_LINE = "# pcm_jax robot {letter} {kind} {name}"

@@ -16,7 +16,6 @@ import dataclasses
 
 import jaxlie
 
-FORMATS = ("g2o", "toro", "isam")
 COLUMNS = {
     "angle": ("x", "y", "theta"),
     "quaternion": ("x", "y", "z", "qx", "qy", "qz", "qw"),

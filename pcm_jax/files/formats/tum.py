@@ -13,7 +13,8 @@ from pcm_jax import lie
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import coordinates
 from pcm_jax.files.output import write_text
-from pcm_jax.files.text import read_lines, table_rows
+from pcm_jax.files.source import read_lines
+from pcm_jax.files.text import table_rows
 from pcm_jax.graph import checked
 from pcm_jax.graph.pose_graph import PoseGraph
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError, InputWarning
-from pcm_jax.files.header import scope_of
+from pcm_jax.files.formats.g2o import check_group, closure_keys, original_keys
 from pcm_jax.files.pose_file import Lines, PoseFile
 from pcm_jax.files.robots import assemble
-from pcm_jax.files.write import check_group, closure_keys, original_keys
+from pcm_jax.files.scopes import scope_of
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import argument_fault, check_information, check_self_loops

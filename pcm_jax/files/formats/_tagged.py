@@ -1,0 +1,119 @@
+"""The reader of files whose lines begin with a tag: g2o, TORO and iSAM."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+
+import numpy as np
+
+from pcm_jax.errors import FileFormatError, InputWarning
+from pcm_jax.files import coordinates
+from pcm_jax.files.formats._tags import COLUMNS, SILENT, TAGS, Tag, is_skipped
+from pcm_jax.files.pose_file import Lines, PoseFile, Reading, checked, in_order
+from pcm_jax.files.source import Source
+from pcm_jax.files.text import Rows, rows_by_tag
+
+
+def tagged_lines(source: Source, name: str) -> float:
+    """The share of a format in the tags of the first lines, 0 to 1; shared tags count half."""
+    tags = [words[0] for _, line in source.head if (words := line.split())]
+    known = [TAGS[tag].formats for tag in tags if tag in TAGS]
+    if not known:
+        return 0.25 * any(tag in SILENT or is_skipped(tag) for tag in tags) * (name == "g2o")
+    return sum((name in formats) / len(formats) for formats in known) / len(known)
+
+
+def read_tagged(source: Source, reading: Reading) -> PoseFile:
+    """Reads one file; see `pcm_jax.files.read_graph` for what is accepted.
+
+    Raises:
+        FileFormatError: naming the file, the line, what is wrong and what was expected.
+
+    Warns:
+        InputWarning: for lines that were skipped (landmarks, priors and the like), counted by tag,
+            and for quaternions further than 1e-3 from unit length.
+    """
+    path, lines = source.path, source.lines
+    rows, comments = rows_by_tag(path, lines)
+    known = _known_tags(path, rows, reading.format)
+    for tag, found in known.items():
+        found.check_width(TAGS[tag].width, TAGS[tag].layout, len(lines))
+    toro = reading.format == "toro" or any(tag.startswith("VERTEX") for tag in known)
+    vertices = [_read_tag(TAGS[tag], found) for tag, found in known.items() if not TAGS[tag].edge]
+    edges = [
+        _read_edges(TAGS[tag], found, reading, toro)
+        for tag, found in known.items()
+        if TAGS[tag].edge
+    ]
+    group = TAGS[next(iter(known))].group
+    measured, clipped = checked(path, in_order(group, edges, 2), reading.repair)
+    return PoseFile(path, group, in_order(group, vertices, 1), measured, comments, clipped)
+
+
+def _known_tags(path: str, rows: dict[str, Rows], wanted: str | None) -> dict[str, Rows]:
+    """The rows that are poses and measurements; errors for unknown tags, a warning for skipped."""
+    unknown = [tag for tag in rows if tag not in TAGS and tag not in SILENT and not is_skipped(tag)]
+    if unknown:
+        tag = min(unknown, key=lambda tag: rows[tag].line[0])
+        expected = ", ".join(list(TAGS)[:4])
+        raise FileFormatError(
+            path,
+            int(rows[tag].line[0]),
+            f"unknown tag {tag[:40]!r}, expected one of {expected}, or TORO's and iSAM's",
+        )
+    skipped = {tag: len(found) for tag, found in rows.items() if is_skipped(tag)}
+    known = {tag: found for tag, found in rows.items() if tag in TAGS}
+    if not known:
+        raise FileFormatError(path, None, "no VERTEX or EDGE line, expected a pose graph")
+    _check_kinds(path, known, wanted)
+    if skipped:
+        counts = ", ".join(f"{count} {tag}" for tag, count in skipped.items())
+        warnings.warn(
+            InputWarning(f"{path}: skipped {sum(skipped.values())} lines ({counts})"), stacklevel=2
+        )
+    return known
+
+
+def _check_kinds(path: str, known: dict[str, Rows], wanted: str | None) -> None:
+    """One group throughout, and the format that the caller said."""
+    first = next(iter(known))
+    for tag, found in known.items():
+        line = int(found.line[0])
+        if TAGS[tag].group is not TAGS[first].group:
+            raise FileFormatError(
+                path, line, f"{tag} in a file that began with {first}: SE(2) and SE(3) are mixed"
+            )
+        if wanted is not None and wanted not in TAGS[tag].formats:
+            raise FileFormatError(path, line, f"{tag} is no tag of the format {wanted!r} asked for")
+
+
+def _read_tag(tag: Tag, rows: Rows) -> Lines:
+    """Ids and transforms of one tag's lines."""
+    start = 1 + tag.ids
+    values = rows.floats(start, start + len(COLUMNS[tag.coordinates]))
+    d = 3 if tag.coordinates == "angle" else 6
+    return Lines(
+        ids=rows.integers(1, start),
+        transforms=coordinates.parameters(tag.coordinates, values, rows.fault),
+        information=np.zeros((len(rows), d, d)),
+        line=rows.line,
+    )
+
+
+def _read_edges(tag: Tag, rows: Rows, reading: Reading, toro: bool) -> Lines:
+    """The same with information over the tangent, which is not checked yet."""
+    edges = _read_tag(tag, rows)
+    triangle = rows.floats(tag.width - tag.triangle, tag.width)
+    if "g2o" not in tag.formats and tag.coordinates == "angle" and "toro" in tag.formats:
+        if reading.format is None:
+            toro = coordinates.looks_like_toro(triangle, expected=toro)
+        if toro:
+            triangle = coordinates.from_toro_order(triangle)
+    square_root = reading.information == "sqrt"
+    information = coordinates.information(triangle, square_root=square_root)
+    if "g2o" not in tag.formats:
+        information = coordinates.from_start_frame(information, tag.group(edges.transforms))
+    elif tag.coordinates == "quaternion" and reading.rotation_information == "quaternion":
+        information = coordinates.from_quaternion_vector(information)
+    return dataclasses.replace(edges, information=information)
