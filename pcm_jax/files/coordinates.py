@@ -38,14 +38,15 @@ def parameters(
         fault: names a culprit.
 
     Raises:
-        InputError: through `fault`, for a quaternion of norm zero.
+        InputError: through `fault`, for a quaternion whose norm is zero or more than 1 % from one.
     """
     if coordinates == "angle":
         x, y, theta = values.T
         return np.stack([np.cos(theta), np.sin(theta), x, y], axis=1)
     if coordinates == "euler":
         return np.concatenate([_quaternion(values[:, 3:]), values[:, :3]], axis=1)
-    return unit_rotations(values[:, [6, 3, 4, 5, 0, 1, 2]], 4, fault)
+    order = "x y z qx qy qz qw"
+    return unit_rotations(values[:, [6, 3, 4, 5, 0, 1, 2]], 4, fault, columns=order)
 
 
 def _quaternion(angles: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:

@@ -277,6 +277,9 @@ def pose_indices(
     wanted = np.asarray(ids)
     if wanted.shape != robots.shape or (wanted.size and wanted.dtype.kind not in "iu"):
         raise fault(0, f"{wanted.dtype} {wanted.shape} given, expected integers {robots.shape}")
+    if wanted.size and wanted.dtype.kind == "u" and wanted.max() > np.iinfo(np.int64).max:
+        row = int(np.argmax(wanted))
+        raise fault(row, f"id {wanted[row]} given, expected integers below 2^63")
     poses, missing = np.zeros(len(robots), np.int32), np.zeros(len(robots), bool)
     for robot in np.unique(robots):
         rows = np.flatnonzero(robots == robot)
@@ -292,10 +295,11 @@ def pose_indices(
 
 def _as_keys(known: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """The ids wanted, with indices made keys where a robot's ids are symbol keys."""
-    if not symbols.are_symbols(known):
+    if not (symbols.are_symbols(known) or symbols.are_labelled(known)):
         return wanted
-    index = (wanted >= 0) & (wanted < symbols.INDEX_LIMIT)
-    return np.where(index, symbols.keys(chr(symbols.letters_of(known)[0]), wanted), wanted)
+    labelled = symbols.are_labelled(known)
+    index = (wanted >= 0) & (wanted < (symbols.LABEL_LIMIT if labelled else symbols.INDEX_LIMIT))
+    return np.where(index, symbols.with_indices(int(known[0]), wanted), wanted)
 
 
 def find(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

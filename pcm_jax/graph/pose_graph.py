@@ -87,8 +87,12 @@ class PoseGraph:
         return lie.tangent_dim(self.poses)
 
     def pose_name(self, index: int) -> str:
-        """The robot's name and the pose's id, a symbol's index for symbol keys: "a12"."""
-        return f"{self.name}{symbols.indices_of(self.ids[[index]])[0]}"
+        """The robot's name and the pose's id, a symbol's index for symbol keys.
+
+        "a12" for a name of one letter, "name:12" for any other.
+        """
+        mark = "" if len(self.name) == 1 and not self.name.isdigit() else ":"
+        return f"{self.name}{mark}{symbols.indices_of(self.ids[[index]])[0]}"
 
     def with_poses(self, poses: Any) -> PoseGraph:
         """The same graph at other poses; ids, name and sources are kept."""

@@ -63,7 +63,7 @@ def test_formats_are_told_by_suffix_or_name(tmp_path, make_robots):
         write_graph(tmp_path / "a.toy", graph)
     with pytest.raises(InputError, match="format: 'toro' given, expected one that is written"):
         write_graph(tmp_path / "a.toy", graph, format="toro")
-    with pytest.raises(InputError, match="format: 'toy' given, expected one of .*g2o"):
+    with pytest.raises(InputError, match=r"format: 'toy' given, expected one of .*g2o"):
         write_graph(tmp_path / "a.toy", graph, format="toy")
 
 
