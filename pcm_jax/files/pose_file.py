@@ -6,7 +6,8 @@ What the ids mean (whose poses they are) is decided later, over all files togeth
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,17 +40,46 @@ class Reading:
     rotation_information: str = "tangent"
     repair: str | None = None
     format: str | None = None
+    ids: str = "auto"
+    default_sigmas: tuple[float, float] | None = None
+    skip_bad: bool = False
 
     def __post_init__(self) -> None:
         allowed = {
             "information": INFORMATION,
             "rotation_information": ROTATION_INFORMATION,
             "repair": REPAIR,
+            "ids": IDS,
         }
         for argument, values in allowed.items():
             given = getattr(self, argument)
             if given not in values:
                 raise InputError(f"{argument}: {given!r} given, expected one of {values}")
+        if self.default_sigmas is not None:
+            object.__setattr__(self, "default_sigmas", _sigmas(self.default_sigmas))
+
+    def default_information(self, group: type[Any]) -> Float[np.ndarray, "d d"] | None:
+        """Information of a measurement that comes without, by `default_sigmas`, else None."""
+        if self.default_sigmas is None:
+            return None
+        space = lie.module_of(group).MATRIX_DIM - 1
+        sigmas = np.full(lie.tangent_dim(group), self.default_sigmas[1])
+        sigmas[:space] = self.default_sigmas[0]
+        return np.diag(sigmas**-2.0)
+
+
+def _sigmas(given: Any) -> tuple[float, float]:
+    """Two positive numbers, metres and radians."""
+    try:
+        translation, rotation = (float(sigma) for sigma in given)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"default_sigmas: {given!r} given, expected two numbers, metres and radians"
+        ) from None
+    for sigma in (translation, rotation):
+        if not 1e-30 < sigma < 1e30:
+            raise InputError(f"default_sigmas: {sigma:g} given, expected a positive number")
+    return translation, rotation
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,12 +91,22 @@ class Lines:
         transforms: jaxlie's parameters, `[k, 4]` or `[k, 7]`.
         information: `[k, d, d]` over the tangent; zeros for vertices.
         line: int64 `[k]`.
+        weight: float64 `[k]`, a front end's score; 1 where it gave none.
+        label: int64 `[k]`, `TRUE`, `FALSE` or `UNKNOWN`, for edges.
     """
 
     ids: Int[np.ndarray, "k ends"]
     transforms: Float[np.ndarray, "k p"]
     information: Float[np.ndarray, "k d d"]
     line: Int[np.ndarray, " k"]
+    weight: Float[np.ndarray, " k"] = None  # type: ignore[assignment]
+    label: Int[np.ndarray, " k"] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.weight is None:
+            object.__setattr__(self, "weight", np.ones(len(self.line)))
+        if self.label is None:
+            object.__setattr__(self, "label", np.full(len(self.line), UNKNOWN))
 
     def __len__(self) -> int:
         return len(self.line)
@@ -86,6 +126,16 @@ class PoseFile:
         edges: its measurements, information positive definite.
         comments: its comment lines.
         clipped: how many information matrices were repaired.
+        format: the format's name.
+        scope: whose the ids are, where the format itself says so.
+        named: object `[k, 2]`, the edges' robots by name, in files of candidates that name them.
+        left_out: how many lines of each kind say nothing of a pose graph.
+        notes: what else a user should know, one line each.
+        priors: poses measured by themselves; None for none.
+        stamps: ids and seconds of poses that have a time.
+        truth: true poses, by id; None where the file has none.
+        how: in words, how the information was read.
+        candidates: whether its edges are candidates and it defines no map.
     """
 
     path: str
@@ -94,6 +144,16 @@ class PoseFile:
     edges: Lines
     comments: Sequence[str] = ()
     clipped: int = 0
+    format: str = ""
+    scope: Scope | None = None
+    named: np.ndarray | None = None
+    left_out: Mapping[str, int] = MappingProxyType({})
+    notes: Sequence[str] = ()
+    priors: Lines | None = None
+    stamps: tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]] | None = None
+    truth: Lines | None = None
+    how: str = ""
+    candidates: bool = False
 
     @property
     def ids(self) -> Int[np.ndarray, " k"]:
