@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from pcm_jax.errors import FileFormatError
+from pcm_jax.files._scope import Scope
 from pcm_jax.files.pose_file import PoseFile
 from pcm_jax.graph import symbols
 from pcm_jax.graph.copies import first_copies
 
 
-def conflicting_letters(files: Sequence[PoseFile]) -> dict[int, str]:
+def conflicting_letters(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> dict[int, str]:
     """Places of files that share their one letter with another file's robot, and why.
 
     Two files contradict one another about a letter when they measure the odometry between the same
@@ -26,12 +27,13 @@ def conflicting_letters(files: Sequence[PoseFile]) -> dict[int, str]:
         return {}
     alone = [len(np.unique(symbols.letters_of(file.ids))) == 1 for file in files]
     found: dict[int, str] = {}
-    owners: dict[int, list[int]] = {}
+    owners: dict[tuple[int, str], list[int]] = {}
     for place, file in enumerate(files):
         ends = symbols.letters_of(file.edges.ids)
         for code in np.unique(ends[ends[:, 0] == ends[:, 1]]).tolist():
-            owners.setdefault(code, []).append(place)
-    for code, places in owners.items():
+            robot = int(scopes[place].locate(np.array([code << symbols.INDEX_BITS]))[0][0])
+            owners.setdefault((code, scopes[place].labels[robot]), []).append(place)
+    for (code, _), places in owners.items():
         for k, one in enumerate(places):
             for other in places[k + 1 :]:
                 lines = _contradiction(files[one], files[other], code)

@@ -50,23 +50,26 @@ def shared_ids(files: Sequence[PoseFile], *, required: bool = False) -> Shared |
         return None
     known = np.unique(np.concatenate([file.ids for file in files]))
     runs = [_runs(file, known) for file in files]
-    defines = [_defines(file, own, runs, place) for place, (file, own) in enumerate(
-        zip(files, runs, strict=True))]
+    defines = [
+        _defines(file, own, runs, place)
+        for place, (file, own) in enumerate(zip(files, runs, strict=True))
+    ]
     if not any(defines):
         return None
     clash = _clash(runs, defines)
     owner = _owners(runs, defines, len(known))
-    crossing = [_crosses(file, known, owner, place, defines[place])
-                for place, file in enumerate(files)]
+    crossing = [
+        _crosses(file, known, owner, place, defines[place]) for place, file in enumerate(files)
+    ]
     if clash is not None:
         return _refused(files, known, clash, defines, required)
     if not required and not any(crossing):
         return None
     if (owner < 0).any():
         raise _unowned(files, known[owner < 0])
-    return Shared(known, owner, [
-        _own_part(file, known, owner, place) for place, file in enumerate(files)
-    ])
+    return Shared(
+        known, owner, [_own_part(file, known, owner, place) for place, file in enumerate(files)]
+    )
 
 
 def _runs(file: PoseFile, known: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:

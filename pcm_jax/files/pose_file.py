@@ -7,19 +7,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.files._scope import Scope
 from pcm_jax.files.text import line_fault
 from pcm_jax.graph.validation import Fault, check_information, check_self_loops, clip_to_definite
-
-if TYPE_CHECKING:
-    pass
 
 INFORMATION = ("as-written", "sqrt", "covariance")
 ROTATION_INFORMATION = ("tangent", "quaternion")
@@ -32,6 +29,8 @@ UNKNOWN, FALSE, TRUE = -1, 0, 1  # labels of edges
 class Reading:
     """How a file's numbers are to be taken: `read_graph`'s options, checked.
 
+    `group` is that of the maps, where they were read before.
+
     Raises:
         InputError: for a value that is not one of those expected.
     """
@@ -42,7 +41,7 @@ class Reading:
     format: str | None = None
     ids: str = "auto"
     default_sigmas: tuple[float, float] | None = None
-    skip_bad: bool = False
+    group: type[Any] | None = None
 
     def __post_init__(self) -> None:
         allowed = {
@@ -136,6 +135,7 @@ class PoseFile:
         truth: true poses, by id; None where the file has none.
         how: in words, how the information was read.
         candidates: whether its edges are candidates and it defines no map.
+        bare: whether its edges came without information, and have none yet.
     """
 
     path: str
@@ -147,13 +147,14 @@ class PoseFile:
     format: str = ""
     scope: Scope | None = None
     named: np.ndarray | None = None
-    left_out: Mapping[str, int] = MappingProxyType({})
+    left_out: Mapping[str, int] = dataclasses.field(default_factory=dict)
     notes: Sequence[str] = ()
     priors: Lines | None = None
     stamps: tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]] | None = None
     truth: Lines | None = None
     how: str = ""
     candidates: bool = False
+    bare: bool = False
 
     @property
     def ids(self) -> Int[np.ndarray, " k"]:

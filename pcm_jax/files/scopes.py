@@ -23,7 +23,6 @@ Comments of `write_g2o` name the robots (g2o, and whatever else reads its files,
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import re
 import warnings
@@ -31,10 +30,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from pcm_jax.errors import FileFormatError, InputWarning
 from pcm_jax.files._conflicts import conflicting_letters
+from pcm_jax.files._scope import Scope, made_scope
 from pcm_jax.files._shared_ids import Shared, shared_ids
 from pcm_jax.files.names import stems_of
 from pcm_jax.files.pose_file import PoseFile
@@ -49,47 +49,6 @@ ORDER_LINE = "# pcm_jax order lines"
 TABLE_COLUMNS = ("vertex", "robot", "id")
 _ROBOT = re.compile(r"# pcm_jax robot (\S) (key|index|label|id) (.+)")
 _TABLE = re.compile(r"# pcm_jax id-table (\S.*)")
-
-
-@dataclasses.dataclass(frozen=True)
-class Scope:
-    """Turns a file's ids into robots and their poses' ids.
-
-    Attributes:
-        labels: one per robot the file speaks of, in the robots' order; equal labels in two files
-            are one robot.
-        names: their names; empty where the file gives none.
-        codes: int64, ascending: the symbol letters, labels or ids that `robots` belong to; empty
-            for a file of one robot.
-        robots: int64, for each of `codes` the index of its robot.
-        ids: int64, for each of `codes` of a table the pose's id.
-        indexed: bool per robot, whether its poses' ids are the keys' indices.
-        kind: "one", "letters", "labels" or "table": what `codes` are.
-        rule: how this was decided, one line.
-    """
-
-    labels: tuple[str, ...]
-    names: tuple[str, ...]
-    codes: Int[np.ndarray, " c"]
-    robots: Int[np.ndarray, " c"]
-    ids: Int[np.ndarray, " c"]
-    indexed: Bool[np.ndarray, " r"]
-    kind: str
-    rule: str
-
-    def locate(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Robots (indices of `labels`, −1 where unknown) and their poses' ids, of a file's ids."""
-        if self.kind == "one":
-            return np.zeros(ids.shape, np.int64), ids
-        if not len(self.codes):
-            return np.full(ids.shape, -1), ids
-        codes = {"letters": symbols.letters_of, "labels": symbols.labels_of}
-        wanted = codes[self.kind](ids) if self.kind in codes else ids
-        slot = np.minimum(np.searchsorted(self.codes, wanted), len(self.codes) - 1)
-        robot = np.where(self.codes[slot] == wanted, self.robots[slot], -1)
-        if self.kind == "table":
-            return robot, np.where(robot >= 0, self.ids[slot], ids)
-        return robot, np.where(self.indexed[robot], symbols.indices_of(ids), ids)
 
 
 def scopes_of(files: Sequence[PoseFile], ids: str = "auto") -> tuple[list[PoseFile], list[Scope]]:
@@ -110,7 +69,7 @@ def scopes_of(files: Sequence[PoseFile], ids: str = "auto") -> tuple[list[PoseFi
     Warns:
         InputWarning: when a file names an id table that is not beside it.
     """
-    stems = stems_of([file.path for file in files])
+    stems: list[str] = stems_of([file.path for file in files])
     scopes: list[Scope | None] = [
         file.scope or _table(file, number) for number, file in enumerate(files)
     ]
@@ -146,31 +105,6 @@ def _where(name: str) -> str:
     return "comment" if name else "file"
 
 
-def made_scope(
-    labels: Sequence[str],
-    names: Sequence[str],
-    *,
-    kind: str,
-    rule: str,
-    codes: Sequence[int] | np.ndarray = (),
-    robots: Sequence[int] | np.ndarray = (),
-    ids: Sequence[int] | np.ndarray = (),
-    indexed: Sequence[bool] = (),
-) -> Scope:
-    """A scope from lists; see `Scope`."""
-    flags = np.asarray(indexed, bool) if len(indexed) else np.zeros(len(labels), bool)
-    return Scope(
-        tuple(labels),
-        tuple(names),
-        np.asarray(codes, np.int64),
-        np.asarray(robots, np.int64),
-        np.asarray(ids, np.int64),
-        flags,
-        kind,
-        rule,
-    )
-
-
 def _by_letters(
     files: Sequence[PoseFile],
     scopes: list[Scope | None],
@@ -180,7 +114,7 @@ def _by_letters(
     strict: bool,
 ) -> None:
     """Fills in the scopes of files whose ids are keys."""
-    keyed = []
+    keyed: list[int] = []
     for number in rest:
         ids = files[number].ids
         if symbols.are_labelled(ids):
@@ -189,13 +123,16 @@ def _by_letters(
             keyed.append(number)
         elif strict:
             raise _no_symbol(files[number])
-    lone = conflicting_letters([files[number] for number in keyed])
+    found = {number: _lettered(files[number]) for number in keyed}
+    lone = conflicting_letters(
+        [files[number] for number in keyed], [found[number] for number in keyed]
+    )
     for place, number in enumerate(keyed):
         if place in lone:
             rule = f"GTSAM symbols, but {lone[place]}: one robot a file, named by it"
             scopes[number] = _one(files[number], number, stems[number], rule)
         else:
-            scopes[number] = _lettered(files[number])
+            scopes[number] = found[number]
 
 
 def _no_symbol(file: PoseFile) -> FileFormatError:
@@ -256,7 +193,7 @@ def _shared(
     shared: Shared, stems: Sequence[str], numbers: Sequence[int], files: Sequence[PoseFile]
 ) -> Scope:
     """One scope for all files that share their ids."""
-    owners = sorted(set(shared.owner.tolist()))
+    owners = [int(owner) for owner in np.unique(shared.owner)]
     names = [_said(files[place]).get("-", ("id", ""))[1] or stems[place] for place in owners]
     return made_scope(
         [f"file {numbers[place]}" for place in owners],

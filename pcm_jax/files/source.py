@@ -100,6 +100,11 @@ class Source:
                     break
         return found
 
+    def without_line(self, number: int) -> None:
+        """Blanks one line, so that the file can be read without it."""
+        self.lines[number - 1] = ""
+        self.__dict__.pop("head", None)
+
 
 def read_lines(path: str | PathLike[str]) -> list[str]:
     """The lines of a text file, which may be gzip- or xz-compressed (told by its first bytes).

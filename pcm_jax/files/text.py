@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -113,9 +114,16 @@ class Rows:
                 table[:, index - start] = list(map(convert, words))
             except (ValueError, OverflowError):
                 row = next(k for k, word in enumerate(words) if not _fits(word, convert, dtype))
-                problem = f"{words[row][:40]!r} given, expected {expected}"
+                problem = f"{words[row][:40]!r} given, expected {expected}{_hint(words[row])}"
                 raise self.fault(row, problem) from None
         return table
+
+
+def _hint(word: str) -> str:
+    """What a word that is no number looks like."""
+    if re.fullmatch(r"[-+]?\d+,\d*([eE][-+]?\d+)?", word):
+        return " with a decimal point, not a decimal comma"
+    return ", not columns with ';' between them" if ";" in word else ""
 
 
 def _fits(word: str, convert: Callable[[str], Any], dtype: Any) -> bool:
@@ -174,11 +182,22 @@ def table_rows(path: str, lines: Sequence[str]) -> Rows:
     return _split_rows(path, lines, str.split)
 
 
+def delimiter_of(line: str) -> str | None:
+    """The character between a line's columns: a semicolon, tab or comma; None without any."""
+    return next((mark for mark in ";\t," if mark in line), None)
+
+
 def csv_rows(path: str, lines: Sequence[str]) -> Rows:
-    """Splits lines at commas; blank lines and those that start with "#" are dropped."""
+    """Splits lines at commas; blank lines and those that start with "#" are dropped.
+
+    Semicolons or tabs will do for commas, where the first line has them.
+    """
+    first = next((line for line in lines if line.strip() and line.lstrip()[0] != "#"), "")
+    mark = delimiter_of(first) or ","
 
     def split(line: str) -> list[str]:
-        return [word.strip() for word in next(csv.reader([line], skipinitialspace=True))]
+        cells = next(csv.reader([line], skipinitialspace=True, delimiter=mark))
+        return [word.strip() for word in cells]
 
     return _split_rows(path, lines, split)
 

@@ -137,6 +137,21 @@ def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, 
             good &= pivot > 0.0
             column = rest[:, k + 1 :, k] / np.where(good, pivot, np.inf)[:, None]
             rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * rest[:, None, k, k + 1 :]
+    return _factored(matrices, good)
+
+
+def _factored(
+    matrices: Float[np.ndarray, "m d d"], good: Bool[np.ndarray, " m"]
+) -> Bool[np.ndarray, " m"]:
+    """Which of the good ones LAPACK factors as well, whose rounding is another."""
+    try:
+        np.linalg.cholesky(np.asarray(matrices)[good])
+    except np.linalg.LinAlgError:
+        for row in np.flatnonzero(good).tolist():
+            try:
+                np.linalg.cholesky(matrices[row])
+            except np.linalg.LinAlgError:
+                good[row] = False
     return good
 
 

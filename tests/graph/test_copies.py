@@ -63,7 +63,7 @@ def test_printed_to_six_digits(group):
 
 def test_other_poses_and_other_numbers_are_others(group):
     ends, measurement, information = stated(group, 1)
-    elsewhere = ends + [0, 0, 0, 1]
+    elsewhere = ends + np.array([0, 0, 0, 1])
     moved = lie.compose(measurement, lie.exp(group, np.full((1, lie.tangent_dim(group)), 1e-3)))
     found = first_copies(
         *joined(

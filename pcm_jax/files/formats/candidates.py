@@ -1,77 +1,294 @@
-"""Candidate loop closures from a CSV file.
+"""Candidate loop closures as CSV, with commas, semicolons or tabs between the columns.
 
-Columns: `robot_a, id_a, robot_b, id_b`, then the pose of b seen from a as `x, y, theta` or
-`x, y, z, qx, qy, qz, qw`, then nothing, one standard deviation per tangent direction (3 or 6), or
-the upper triangle of the information row by row (6 or 21), over (translation, rotation) in metres
-and radians. A first line of column names is optional; `write_candidates` writes it, and the upper
-triangle.
+Without a line of column names: `robot_a, id_a, robot_b, id_b`, then the pose of b seen from a as
+`x, y, theta` or `x, y, z, qx, qy, qz, qw`, then nothing, one standard deviation per tangent
+direction (3 or 6), or the upper triangle of the information row by row (6 or 21), over
+(translation, rotation) in metres and radians.
+
+Where the first line has names, they decide: `NAMES` lists what columns are called, in any order
+(`robot1, pose1, robot2, pose2, qx, qy, qz, qw, tx, ty, tz, inliers` are Kimera-Multi's), and
+columns of other names are left out. An id may be text, "a12", which names the robot as well.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import warnings
-from collections.abc import Sequence
+import re
 from os import PathLike
 from typing import Any
 
+import jaxlie
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import InputWarning
 from pcm_jax.files import coordinates
+from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tags import COLUMNS
 from pcm_jax.files.output import write_text
-from pcm_jax.files.pose_file import Reading, definite
-from pcm_jax.files.source import read_lines
-from pcm_jax.files.text import Rows, csv_rows
-from pcm_jax.graph.loop_closures import LoopClosures, pose_indices
+from pcm_jax.files.pose_file import (
+    FALSE,
+    TRUE,
+    UNKNOWN,
+    Lines,
+    PoseFile,
+    Reading,
+    definite,
+    no_lines,
+)
+from pcm_jax.files.source import Source
+from pcm_jax.files.text import Rows, csv_rows, delimiter_of
 from pcm_jax.graph.multi_robot import MultiRobotGraph
-from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import raise_first
 
 SMALLEST_SIGMA = 1e-30  # so that its information still is a number
 ENDS = ("robot_a", "id_a", "robot_b", "id_b")
+NAMES = {
+    "robot_a": ("robot_a", "robot1", "robot_from", "robot_id_a", "robot_i", "r1"),
+    "id_a": ("id_a", "pose1", "pose_a", "key1", "key_a", "key_from", "id1", "from", "i"),
+    "robot_b": ("robot_b", "robot2", "robot_to", "robot_id_b", "robot_j", "r2"),
+    "id_b": ("id_b", "pose2", "pose_b", "key2", "key_b", "key_to", "id2", "to", "j"),
+    "x": ("x", "tx", "px"),
+    "y": ("y", "ty", "py"),
+    "z": ("z", "tz", "pz"),
+    "theta": ("theta", "yaw"),
+    "qx": ("qx",),
+    "qy": ("qy",),
+    "qz": ("qz",),
+    "qw": ("qw",),
+    "weight": ("weight", "inliers", "inlier_num", "num_inliers", "score"),
+    "is_true": ("is_true",),
+}
+_OF = {name: column for column, names in NAMES.items() for name in names}
+_INFORMATION = re.compile(r"information_?[1-6][1-6]")
+_SIGMA = re.compile(r"(sigma|std|s)_?(x|y|z|theta|roll|pitch|yaw|[1-6])")
+_TEXT_ID = re.compile(r"([A-Za-z])(\d+)")
+_WIDTHS = {4 + k + extra for k, d in ((3, 3), (7, 6)) for extra in (0, d, d * (d + 1) // 2)}
 
 
-def read_candidates(
-    path: str | PathLike[str], maps: Sequence[PoseGraph], reading: Reading
-) -> tuple[LoopClosures, int]:
-    """The closures of a CSV file, and how many information matrices were repaired.
+def looks_like_candidates(source: Source) -> float:
+    """Column names of ends, or a row of two robots and ids and as many numbers as there may be."""
+    if not source.head:
+        return 0.0
+    line = source.head[0][1]
+    mark = delimiter_of(line)
+    if mark is None:
+        return 0.0
+    words = [word.strip().strip('"') for word in line.split(mark)]
+    known = [_OF.get(word.lower()) for word in words]
+    if "id_a" in known and "id_b" in known:
+        return 1.0
+    if len(words) < 7 or not all(re.fullmatch(r"-?\d+", word) for word in (words[1], words[3])):
+        return 0.1 * (len(words) > 4)
+    return 0.8 if len(words) in _WIDTHS and not words[0].isdigit() else 0.4
 
-    Robots are given by name, or by letter: a is the first map. Ids are those of the maps' files,
-    for symbol keys the key or its index.
+
+def read_candidates(source: Source, reading: Reading) -> PoseFile:
+    """Reads candidates; their robots by name, their ids as they stand.
 
     Raises:
         FileFormatError: naming the line, what is wrong and what was expected.
 
     Warns:
-        InputWarning: where there are no columns for the uncertainty. Each tangent direction then
-            gets the median standard deviation of the maps' edges.
+        InputWarning: for quaternions further than 1e-3 from unit length.
     """
-    rows = csv_rows(str(path), read_lines(path))
-    coordinate = "angle" if maps[0].tangent_dim == 3 else "quaternion"
-    measured = COLUMNS[coordinate]
-    rows = _without_header(rows, (*ENDS, *measured))
+    rows = csv_rows(source.path, source.lines)
+    header = [word.lower() for word in rows.first] if _is_header(rows) else None
+    group = reading.group or _group_of(rows, header)
+    columns = _Columns(rows, header, group)
+    rows = rows.rest if header is not None else rows
     if not len(rows):
-        return LoopClosures.empty(maps[0].group), 0
-    start = len(ENDS) + len(measured)
-    extra = _extra_columns(rows, start, (*ENDS, *measured), maps[0].tangent_dim)
-    transforms = coordinates.parameters(coordinate, rows.floats(4, start), rows.fault)
-    uncertainty = rows.floats(start, start + extra)
-    if extra == maps[0].tangent_dim:
-        _check_sigmas(uncertainty, rows)
-    information = _information(uncertainty, maps, str(path))
-    information, clipped = definite(information, rows.fault, reading.repair)
-    ends = [end for side in (0, 2) for end in _end(rows, side, maps)]
-    raise_first(
-        ends[0] == ends[2],
-        rows.fault,
-        lambda row: f"closure from robot {rows.column(0)[row]!r} to itself, expected two robots",
+        return _file(source, group, no_lines(group, 2), np.zeros((0, 2), object), (), False, 0, "")
+    columns.check(rows)
+    named, ids = _ends(rows, columns)
+    notes = columns.notes()
+    transforms, degrees = _transforms(rows, columns)
+    information, bare, how = _information(rows, columns, reading)
+    clipped = 0
+    if not bare:
+        information, clipped = definite(information, rows.fault, reading.repair)
+    edges = Lines(
+        ids,
+        transforms,
+        information,
+        rows.line,
+        weight=_weights(rows, columns),
+        label=_labels(rows, columns),
     )
-    measurement = maps[0].group(transforms)
-    return LoopClosures.from_checked(tuple(ends), measurement, information, rows.source), clipped
+    return _file(source, group, edges, named, (*notes, *degrees), bare, clipped, how)
+
+
+def _file(
+    source: Source,
+    group: type[Any],
+    edges: Lines,
+    named: np.ndarray | None,
+    notes: tuple[str, ...],
+    bare: bool,
+    clipped: int,
+    how: str,
+) -> PoseFile:
+    return PoseFile(
+        source.path,
+        group,
+        no_lines(group, 1),
+        edges,
+        format="csv",
+        named=named,
+        notes=notes,
+        candidates=True,
+        bare=bare,
+        clipped=clipped,
+        how=how,
+    )
+
+
+def _is_header(rows: Rows) -> bool:
+    known = [word for word in rows.first if word.lower() in _OF]
+    return len(known) >= 4
+
+
+def _group_of(rows: Rows, header: list[str] | None) -> type[Any]:
+    if header is not None:
+        return jaxlie.SE2 if "theta" in {_OF.get(name) for name in header} else jaxlie.SE3
+    return jaxlie.SE2 if len(rows.first) in (7, 10, 13) else jaxlie.SE3
+
+
+class _Columns:
+    """Where each column is; without names, where it should be."""
+
+    def __init__(self, rows: Rows, header: list[str] | None, group: type[Any]) -> None:
+        self.coordinate = "angle" if group is jaxlie.SE2 else "quaternion"
+        self.measured, self.d = COLUMNS[self.coordinate], lie.tangent_dim(group)
+        self.standard = (*ENDS, *self.measured)
+        self.width = len(rows.first)
+        self.left_out: list[str] = []
+        self.at = {name: index for index, name in enumerate(self.standard)}
+        self.uncertainty = list(range(len(self.standard), self.width))
+        if header is not None:
+            self._by_name(rows, header)
+
+    def _by_name(self, rows: Rows, header: list[str]) -> None:
+        self.at = {}
+        for index, name in enumerate(header):
+            if name in _OF:
+                self.at.setdefault(_OF[name], index)
+        missing = [name for name in ("id_a", "id_b", *self.measured) if name not in self.at]
+        if missing:
+            raise rows.fault(
+                0,
+                f"columns {','.join(rows.first)[:80]} given, expected {','.join(self.standard)},…"
+                f" ({missing[0]} is missing)",
+            )
+        rest = [index for index, name in enumerate(header) if name not in _OF]
+        stated = [
+            k for k in rest if _INFORMATION.fullmatch(header[k]) or _SIGMA.fullmatch(header[k])
+        ]
+        in_place = tuple(_OF.get(name) for name in header[: len(self.standard)]) == self.standard
+        whole = (self.d, self.d * (self.d + 1) // 2)
+        self.uncertainty = rest if in_place and len(rest) in whole and not stated else stated
+        self.left_out = [rows.first[k] for k in rest if k not in self.uncertainty]
+
+    def check(self, rows: Rows) -> None:
+        """Every row has the first one's columns, and these are as many as they may be."""
+        allowed = (0, self.d, self.d * (self.d + 1) // 2)
+        expected = ",".join(self.standard)
+        if len(self.uncertainty) not in allowed or self.width < len(self.at):
+            raise rows.fault(
+                0,
+                f"{self.width} columns, expected {expected} and {allowed[0]}, {allowed[1]}"
+                f" (standard deviations) or {allowed[2]} (information) more",
+            )
+        extra = self.width - len(self.standard)
+        rows.check_width(self.width, f"{expected} and {extra} more, as in the first row")
+
+    def notes(self) -> tuple[str, ...]:
+        """The columns left out, in one line."""
+        return (f"columns left out: {', '.join(self.left_out)}",) if self.left_out else ()
+
+    def floats(self, rows: Rows, names: Any) -> np.ndarray:
+        """Columns by name, float64 `[m, k]`."""
+        return np.concatenate([self._numbers(rows, self.at[name]) for name in names], axis=1)
+
+    def _numbers(self, rows: Rows, index: int) -> np.ndarray:
+        return rows.floats(index, index + 1)
+
+
+def _ends(rows: Rows, columns: _Columns) -> tuple[np.ndarray | None, np.ndarray]:
+    """The robots by name, object `[m, 2]`, None where keys tell them; and ids, int64 `[m, 2]`."""
+    named = np.full((len(rows), 2), "", object)
+    ids = np.zeros((len(rows), 2), np.int64)
+    for side, end in enumerate("ab"):
+        index = columns.at[f"id_{end}"]
+        words = rows.column(index)
+        texts = [_TEXT_ID.fullmatch(word) for word in words]
+        if all(texts) and texts:
+            ids[:, side] = [int(text[2]) for text in texts if text]
+            named[:, side] = [text[1] for text in texts if text]
+        else:
+            ids[:, side] = rows.integers(index, index + 1)[:, 0]
+        if f"robot_{end}" in columns.at:
+            named[:, side] = rows.column(columns.at[f"robot_{end}"])
+    return (named if (named != "").all() else None), ids
+
+
+def _transforms(rows: Rows, columns: _Columns) -> tuple[np.ndarray, tuple[str, ...]]:
+    values = columns.floats(rows, columns.measured)
+    transforms = coordinates.parameters(columns.coordinate, values, rows.fault)
+    notes: tuple[str, ...] = ()
+    if columns.coordinate == "angle" and np.abs(values[:, 2]).max(initial=0.0) > 2.0 * np.pi:
+        row = int(np.argmax(np.abs(values[:, 2])))
+        notes = (
+            f"line {rows.line[row]}: theta {values[row, 2]:g} is more than a turn, expected radians"
+            " (degrees?)",
+        )
+    return transforms, notes
+
+
+def _information(rows: Rows, columns: _Columns, reading: Reading) -> tuple[np.ndarray, bool, str]:
+    """Information `[m, d, d]`, not checked yet; whether there was none; and how it was read."""
+    d, given = columns.d, columns.uncertainty
+    if not given:
+        default = reading.default_information(jaxlie.SE2 if d == 3 else jaxlie.SE3)
+        if default is None:
+            return np.zeros((len(rows), d, d)), True, "none given: the maps' median"
+        return np.tile(default, (len(rows), 1, 1)), False, "none given: default sigmas"
+    values = np.concatenate([rows.floats(index, index + 1) for index in given], axis=1)
+    if len(given) == d:
+        wrong = values < SMALLEST_SIGMA
+        raise_first(
+            wrong.any(axis=1),
+            rows.fault,
+            lambda row: (
+                f"{values[row][wrong[row]][0]:g} given, expected a standard deviation above 0"
+            ),
+        )
+        return (values**-2.0)[:, :, None] * np.eye(d), False, "standard deviations"
+    information = coordinates.information(values, how=reading.information, fault=rows.fault)
+    return information, False, reading.information
+
+
+def _weights(rows: Rows, columns: _Columns) -> np.ndarray:
+    if "weight" not in columns.at:
+        return np.ones(len(rows))
+    weight = columns.floats(rows, ("weight",))[:, 0]
+    raise_first(
+        weight < 0.0, rows.fault, lambda row: f"weight {weight[row]:g} given, expected at least 0"
+    )
+    return weight
+
+
+def _labels(rows: Rows, columns: _Columns) -> np.ndarray:
+    if "is_true" not in columns.at:
+        return np.full(len(rows), UNKNOWN)
+    words = [word.lower() for word in rows.column(columns.at["is_true"])]
+    known = {"1": TRUE, "true": TRUE, "0": FALSE, "false": FALSE, "": UNKNOWN}
+    raise_first(
+        np.array([word not in known for word in words]),
+        rows.fault,
+        lambda row: f"is_true {words[row][:40]!r} given, expected 0 or 1",
+    )
+    return np.array([known[word] for word in words])
 
 
 def write_candidates(path: str | PathLike[str], graph: MultiRobotGraph) -> None:
@@ -92,16 +309,32 @@ def write_candidates(path: str | PathLike[str], graph: MultiRobotGraph) -> None:
     numbers = np.concatenate([coordinates.columns(parameters), triangle], axis=1).tolist()
     measured = COLUMNS["angle" if graph.tangent_dim == 3 else "quaternion"]
     rows, columns = np.triu_indices(graph.tangent_dim)
-    information = (f"information_{r + 1}{c + 1}" for r, c in zip(rows, columns, strict=True))
+    names = [
+        *(*ENDS, *measured),
+        *(f"information_{r + 1}{c + 1}" for r, c in zip(rows, columns, strict=True)),
+    ]
+    extra: list[list[Any]] = [[] for _ in range(len(closures))]
+    weight = np.asarray(closures.weight)
+    if (weight != 1.0).any():
+        names.append("weight")
+        extra = [[*row, value] for row, value in zip(extra, weight.tolist(), strict=True)]
+    if closures.is_true is not None:
+        names.append("is_true")
+        extra = [[*row, int(value)] for row, value in zip(extra, closures.is_true, strict=True)]
     ends = zip(
         _robots_and_ids(graph, closures.robot_a, closures.pose_a),
         _robots_and_ids(graph, closures.robot_b, closures.pose_b),
         strict=True,
     )
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow([*ENDS, *measured, *information])
-    table.writerows([*a, *b, *values] for (a, b), values in zip(ends, numbers, strict=True))
+    # A line that began with "#" would be a comment.
+    quoted = any(name.startswith("#") or name != name.strip() for name in graph.names)
+    quoting = csv.QUOTE_NONNUMERIC if quoted else csv.QUOTE_MINIMAL
+    table = csv.writer(text, lineterminator="\n", quoting=quoting)
+    table.writerow(names)
+    table.writerows(
+        [*a, *b, *values, *more] for (a, b), values, more in zip(ends, numbers, extra, strict=True)
+    )
     write_text(path, text.getvalue())
 
 
@@ -112,79 +345,15 @@ def _robots_and_ids(graph: MultiRobotGraph, robots: Any, poses: Any) -> list[tup
     ]
 
 
-def _without_header(rows: Rows, expected: tuple[str, ...]) -> Rows:
-    """The rows after a line of column names, whose beginning must be as expected."""
-    if rows.first[:1] != ["robot_a"]:
-        return rows
-    if tuple(rows.first[: len(expected)]) != expected:
-        raise rows.fault(
-            0, f"columns {','.join(rows.first)[:80]} given, expected {','.join(expected)},…"
-        )
-    return rows.rest
-
-
-def _extra_columns(rows: Rows, start: int, expected: tuple[str, ...], d: int) -> int:
-    """Columns of uncertainty: 0, d or d (d + 1) / 2, the same in every row."""
-    allowed = (0, d, d * (d + 1) // 2)
-    extra = len(rows.first) - start
-    if extra not in allowed:
-        raise rows.fault(
-            0,
-            f"{len(rows.first)} columns, expected {','.join(expected)} and"
-            f" {allowed[0]}, {allowed[1]} (standard deviations) or {allowed[2]} (information) more",
-        )
-    rows.check_width(start + extra, ",".join(expected) + f" and {extra} more, as in the first row")
-    return extra
-
-
-def _information(extra: np.ndarray, maps: Sequence[PoseGraph], path: str) -> np.ndarray:
-    """Information `[m, d, d]`, not checked yet, from the columns of uncertainty."""
-    d = maps[0].tangent_dim
-    if extra.shape[1] == d * (d + 1) // 2:
-        return coordinates.symmetric(extra)
-    sigmas = extra
-    if extra.shape[1] == 0:
-        typical = _median_sigmas(maps)
-        sigmas = np.broadcast_to(typical, (len(extra), d))
-        text = ", ".join(f"{sigma:.3g}" for sigma in typical)
-        warnings.warn(
-            InputWarning(
-                f"{path}: no columns for the uncertainty; the median standard deviations of the"
-                f" maps' edges ({text}) are used"
-            ),
-            stacklevel=2,
-        )
-    return (sigmas**-2.0)[:, :, None] * np.eye(d)
-
-
-def _check_sigmas(sigmas: np.ndarray, rows: Rows) -> None:
-    wrong = sigmas < SMALLEST_SIGMA
-    raise_first(
-        wrong.any(axis=1),
-        rows.fault,
-        lambda row: f"{sigmas[row][wrong[row]][0]:g} given, expected a standard deviation above 0",
+CANDIDATES = register(
+    Format(
+        name="csv",
+        about="candidate closures",
+        recognise=looks_like_candidates,
+        read=read_candidates,
+        write=write_candidates,
+        suffixes=(".csv",),
+        information="kept; standard deviations too; the maps' median where none is given",
+        labels="kept (is_true)",
     )
-
-
-def _median_sigmas(maps: Sequence[PoseGraph]) -> np.ndarray:
-    """Median standard deviation of the maps' edges in each tangent direction, `[d]`."""
-    information = np.concatenate([np.asarray(graph.information) for graph in maps])
-    if not len(information):
-        return np.ones(maps[0].tangent_dim)
-    variances = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
-    return np.sqrt(np.median(np.abs(variances), axis=0))
-
-
-def _end(rows: Rows, side: int, maps: Sequence[PoseGraph]) -> tuple[np.ndarray, np.ndarray]:
-    """Robots and poses, as indices, of the columns `side` and `side + 1`."""
-    letters = {chr(ord("a") + index): index for index in range(min(len(maps), 26))}
-    known = letters | {graph.name: index for index, graph in enumerate(maps) if graph.name}
-    names = rows.column(side)
-    robots = np.array([known.get(name, -1) for name in names], np.int64)
-    raise_first(
-        robots < 0,
-        rows.fault,
-        lambda row: f"there is no robot {names[row][:40]!r}, expected one of {', '.join(known)}",
-    )
-    ids = rows.integers(side + 1, side + 2)[:, 0]
-    return robots, pose_indices(maps, robots, ids, rows.fault)
+)

@@ -18,6 +18,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.files import coordinates
 from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tagged import read_tagged, tagged_lines
+from pcm_jax.files.names import stem_of
 from pcm_jax.files.output import write_text
 from pcm_jax.files.scopes import ORDER_LINE, ROBOT_LINE, TABLE_COLUMNS, TABLE_LINE
 from pcm_jax.graph import symbols
@@ -25,7 +26,6 @@ from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
 
 IDS = ("original", "sequential")
-COMPRESSED = (".gz", ".xz")
 
 
 def write_g2o(
@@ -60,13 +60,19 @@ def write_g2o(
         starts = np.cumsum([0, *(pose_graph.num_poses for pose_graph in graph.maps)])
         keys = [np.arange(a, b) for a, b in pairwise(starts)]
         table = _table_path(Path(path))
+        if not table.name.isprintable() or table.name.strip() != table.name:
+            raise InputError(
+                f"path: {table.name!r} cannot be named in a comment, expected printable text"
+                " without space around it"
+            )
         write_text(table, _id_table(graph.maps))
         header = [TABLE_LINE.format(file=table.name)]
     else:
-        header, keys = original_keys(graph.maps)
+        header, keys = original_keys(graph.maps, own_name=stem_of(str(path)))
     if any((np.diff(pose_graph.ids) < 0).any() for pose_graph in graph.maps):
         header.append(ORDER_LINE)
-    write_text(path, "\n".join([*header, *_body(graph, keys), ""]))
+    # At the end: GTSAM's reader of 2D files stops at the first line that it does not know.
+    write_text(path, "\n".join([*_body(graph, keys), *header, ""]))
 
 
 def check_group(graph: MultiRobotGraph) -> None:
@@ -87,9 +93,8 @@ def _check_writable(graph: MultiRobotGraph) -> None:
 
 
 def _table_path(path: Path) -> Path:
-    """`merged.ids.csv` beside `merged.g2o` or `merged.g2o.xz`."""
-    bare = path.with_suffix("") if path.suffix in COMPRESSED else path
-    return bare.with_suffix(".ids.csv")
+    """`merged.ids.csv` beside `merged.g2o`, `NAME.ids.csv` beside any other NAME."""
+    return path.with_suffix(".ids.csv") if path.suffix == ".g2o" else Path(f"{path}.ids.csv")
 
 
 def _id_table(maps: Sequence[PoseGraph]) -> str:
@@ -102,16 +107,32 @@ def _id_table(maps: Sequence[PoseGraph]) -> str:
     return text.getvalue()
 
 
-def original_keys(maps: Sequence[PoseGraph]) -> tuple[list[str], list[np.ndarray]]:
+def original_keys(
+    maps: Sequence[PoseGraph], own_name: str = ""
+) -> tuple[list[str], list[np.ndarray]]:
     """Comments, and the ids to write for each robot's poses: one robot's own, else symbol keys.
+
+    Args:
+        maps: the robots'.
+        own_name: the name that a file's one robot has without a comment.
 
     Raises:
         InputError: for ids that fit no symbol key, or more robots than letters.
     """
-    if len(maps) == 1 and not symbols.letters_of(maps[0].ids).any():
+    if len(maps) == 1 and not (
+        symbols.are_symbols(maps[0].ids) or symbols.are_labelled(maps[0].ids)
+    ):
         name = maps[0].name
-        header = [] if name == "a" else [ROBOT_LINE.format(letter="-", kind="id", name=name)]
+        header = [] if name == own_name else [ROBOT_LINE.format(letter="-", kind="id", name=name)]
         return header, [maps[0].ids]
+    marks = _label_marks(maps)
+    if marks:
+        lines = [
+            ROBOT_LINE.format(letter=mark, kind="label", name=graph.name)
+            for mark, graph in zip(marks, maps, strict=True)
+        ]
+        plain = marks == [graph.name for graph in maps] and marks == sorted(marks)
+        return [] if plain else lines, [graph.ids for graph in maps]
     header, keys = [], []
     for graph, letter in zip(maps, _letters(maps), strict=True):
         kept = bool((symbols.letters_of(graph.ids) == ord(letter)).all())
@@ -121,6 +142,16 @@ def original_keys(maps: Sequence[PoseGraph]) -> tuple[list[str], list[np.ndarray
     standard = [ROBOT_LINE.format(letter=g.name, kind="key", name=g.name) for g in maps]
     ordered = all(a.name < b.name for a, b in pairwise(maps))
     return ([] if header == standard and ordered else header), keys
+
+
+def _label_marks(maps: Sequence[PoseGraph]) -> list[str]:
+    """The label of each robot's keys; empty where some robot's are not of one label of its own."""
+    codes = [np.unique(symbols.labels_of(graph.ids)) for graph in maps]
+    if any(len(code) != 1 or not code[0] for code in codes):
+        return []
+    letters = {int(code[0]) >> 8 for code in codes}
+    marks = [chr(int(code[0]) & 0xFF) for code in codes]
+    return marks if len(letters) == 1 and len(set(marks)) == len(marks) else []
 
 
 def _letters(maps: Sequence[PoseGraph]) -> list[str]:
