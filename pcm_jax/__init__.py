@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         write_trajectory,
     )
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
-    from pcm_jax.mapping import Solution, joint_marginal_covariance, optimize
+    from pcm_jax.mapping import MapCovariance, Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge_differentiable
     from pcm_jax.pipeline import merge, select
     from pcm_jax.selection import (
@@ -60,6 +60,7 @@ __all__ = [
     "InputError",
     "InputWarning",
     "LoopClosures",
+    "MapCovariance",
     "MergeResult",
     "MultiRobotGraph",
     "PackedGraph",
@@ -106,7 +107,7 @@ _NAMES_OF = {
         "write_g2o",
         "write_trajectory",
     ),
-    "mapping": ("Solution", "joint_marginal_covariance", "optimize"),
+    "mapping": ("MapCovariance", "Solution", "joint_marginal_covariance", "optimize"),
     "consistency": (
         "ConsistencyProblem",
         "PackedGraph",

@@ -2,17 +2,17 @@
 
 Data walks through this folder once:
 
-    initialization   poses to start from (chordal relaxation, spanning tree)
-    linearization    residuals of the edges and their Jacobians, in closed form
-    gauss_newton     the optimistix solver that steps on the manifold
-    normal_equations the linear system of a step, as lineax operator and solvers
-    symbolic, assembly, cholesky   the block Cholesky factorisation: tree, plan, numbers
-    least_squares    padding and one compiled call around all of these
-    optimization     `optimize`, what users call
-    marginals        `joint_marginal_covariance` of some poses at the optimum
+    initialization      poses to start from (chordal relaxation, spanning tree)
+    _linearization      residuals of the edges and their Jacobians, in closed form
+    _normal_equations   the linear system of a step, as lineax operator and solvers
+    _gauss_newton       the optimistix solver that steps on the manifold
+    least_squares       padding and one compiled call around all of these
+    optimization        `optimize`, what users call
+    covariance          `MapCovariance` of the poses at the optimum
+    implicit            the optimum as a differentiable function of its data
 """
 
-from pcm_jax.mapping.marginals import joint_marginal_covariance
+from pcm_jax.mapping.covariance import MapCovariance, joint_marginal_covariance
 from pcm_jax.mapping.optimization import Solution, optimize
 
-__all__ = ["Solution", "joint_marginal_covariance", "optimize"]
+__all__ = ["MapCovariance", "Solution", "joint_marginal_covariance", "optimize"]

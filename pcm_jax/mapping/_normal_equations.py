@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakValueDictionary
 
 import jax
@@ -23,7 +23,7 @@ import lineax as lx
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax.mapping._linearization import apart, multiply
+from pcm_jax.mapping._linearization import EdgeProducts, apart, edge_products
 from pcm_jax.sparse.assembly import CholeskyPlan, plan_for
 from pcm_jax.sparse.cholesky import (
     CholeskyFactor,
@@ -226,29 +226,6 @@ for _property in (
     _property.register(BlockJacobian)(lambda operator: False)
 for _identity in (lx.linearise, lx.materialise, lx.conj):
     _identity.register(BlockJacobian)(lambda operator: operator)
-
-
-class EdgeProducts(NamedTuple):
-    """What the normal equations need of every edge, edges first.
-
-    Attributes:
-        products: JᵗᵀJᵗ, JʰᵀJʰ and JʰᵀJᵗ (t: tail, h: head).
-        gradients: Jᵗᵀ r and Jʰᵀ r.
-    """
-
-    products: Float[Array, "3 e d d"]
-    gradients: Float[Array, "2 e d"]
-
-
-def edge_products(
-    by_tail: Float[Array, "d d e"], by_head: Float[Array, "d d e"], residual: Float[Array, "d e"]
-) -> EdgeProducts:
-    """Products of the edges' Jacobians with each other and with the residual."""
-    to_tail, to_head = jnp.swapaxes(by_tail, 0, 1), jnp.swapaxes(by_head, 0, 1)
-    pairs = ((to_tail, by_tail), (to_head, by_head), (to_head, by_tail))
-    gradients = [multiply(by, residual[:, None])[:, 0] for by in (to_tail, to_head)]
-    stacked = jnp.stack([multiply(*pair) for pair in pairs]), jnp.stack(gradients)
-    return EdgeProducts(*(jnp.moveaxis(part, -1, 1) for part in stacked))
 
 
 def _products_of(jacobian: BlockJacobian, residual: Array) -> EdgeProducts:

@@ -42,12 +42,21 @@ class _Passed(NamedTuple):
 
 
 def inverse_block(
-    factor: CholeskyFactor, poses: Int[np.ndarray, " k"]
+    factor: CholeskyFactor,
+    poses: Int[np.ndarray, " k"],
+    right: Float[np.ndarray, "k d d"] | None = None,
 ) -> Float[np.ndarray, "k*d k*d"]:
-    """Rows and columns of `H⁻¹` that belong to `poses`, in their order, each given once."""
+    """Rᵀ Eᵀ H⁻¹ E R: rows and columns of `H⁻¹` that belong to `poses`, in their order.
+
+    Args:
+        factor: of `H`.
+        poses: which block columns, each given once.
+        right: `[j]` the block of R for pose j, which costs nothing; None: the identity.
+    """
     d, by_position = factor.plan.block_dim, np.argsort(factor.plan.position[poses])
     total = np.zeros((len(poses) * d, len(poses) * d))
-    for solved in _forward(factor, poses[by_position], _identities(len(poses), d)):
+    right = _identities(len(poses), d) if right is None else right
+    for solved in _forward(factor, poses[by_position], right[by_position]):
         part = slice(solved.low * d, solved.high * d)
         total[part, part] += solved.rows.T @ solved.rows
     given = np.argsort(by_position)
@@ -56,14 +65,17 @@ def inverse_block(
 
 
 def inverse_diagonal(
-    factor: CholeskyFactor, poses: Int[np.ndarray, " k"]
+    factor: CholeskyFactor,
+    poses: Int[np.ndarray, " k"],
+    right: Float[np.ndarray, "k d d"] | None = None,
 ) -> Float[np.ndarray, "k d d"]:
-    """The diagonal blocks of `H⁻¹` that belong to `poses`, each given once."""
+    """The diagonal blocks of what `inverse_block` gives for the same arguments."""
+    right = _identities(len(poses), factor.plan.block_dim) if right is None else right
     d, by_position = factor.plan.block_dim, np.argsort(factor.plan.position[poses])
     total = np.zeros((len(poses), d, d))
     for start in range(0, len(poses), POSES_AT_ONCE):
         some = by_position[start : start + POSES_AT_ONCE]
-        for solved in _forward(factor, poses[some], _identities(len(some), d)):
+        for solved in _forward(factor, poses[some], right[some]):
             columns = solved.rows.reshape(len(solved.rows), -1, d).transpose(1, 2, 0)
             total[some[solved.low : solved.high]] += columns @ columns.transpose(0, 2, 1)
     return total

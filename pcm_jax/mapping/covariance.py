@@ -1,0 +1,271 @@
+"""`MapCovariance`: how certain a map's poses are, factorised once and asked many times.
+
+With `H = Σ JᵀJ` at the optimum and the first pose held, the joint covariance of the poses that
+closures touch is a block of `H⁻¹`, found from the sparse factor `H = L Lᵀ` by forward substitution:
+
+    Σ_right = Wᵀ W,  W = L⁻¹ E              right perturbations X exp(δ)
+    Σ_left  = Wᵀ W,  W = L⁻¹ E Ad(X)ᵀ       left perturbations exp(ξ) X: ξ = Ad(X) δ
+
+with `E` the unit columns of the poses asked for: never the whole inverse, never pose pair by pose
+pair. Left perturbations are those of the map moved so that `origin` is at zero: far from it their
+covariances cancel where they are subtracted. Runs on the host.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from pcm_jax import lie
+from pcm_jax.arrays import on_host
+from pcm_jax.errors import InputError
+from pcm_jax.graph import PoseGraph
+from pcm_jax.mapping._linearization import apart, edge_products, linearize
+from pcm_jax.mapping._normal_equations import system_for
+from pcm_jax.mapping.least_squares import padded_edges, padded_size
+from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.sparse.cholesky import CholeskyFactor, NotPositiveDefiniteError
+from pcm_jax.sparse.inverse import inverse_block, inverse_columns, inverse_diagonal
+
+SIDES = ("right", "left")
+COMPILED_FROM = 8192
+"""Edges: up to here NumPy linearises sooner than JAX compiles."""
+
+
+class MapCovariance:
+    """The covariance of a map's poses at the graph's own poses, which should be the optimum.
+
+    The map is factorised when it is first asked, and never again, whichever thread asks. The first
+    pose is held: certain, and tied to none.
+
+        covariance = pcm_jax.MapCovariance(pcm_jax.optimize(pose_graph).graph)
+        covariance.joint([3, 17])  # [2 d, 2 d]
+
+    Args:
+        pose_graph: an optimised map.
+        origin: float64 `[s]`, s = 2 or 3, metres: the point about which left perturbations turn.
+            None: the mean position of all poses. Give a map that has grown the origin that it had,
+            so that covariances of before and after are in one frame.
+
+    Attributes:
+        pose_graph: as given.
+        origin: as above; whoever asks for which poses, it does not move.
+    """
+
+    def __init__(self, pose_graph: PoseGraph, *, origin: Float[np.ndarray, " s"] | None = None):
+        self.pose_graph = pose_graph
+        self._poses = lie.as_numpy(pose_graph.poses)
+        positions = lie.translation(self._poses)
+        self.origin = np.array(positions.mean(axis=0) if origin is None else origin, np.float64)
+        if self.origin.shape != positions.shape[1:]:
+            raise InputError(
+                f"origin: shape {self.origin.shape} given, expected {positions.shape[1:]}"
+            )
+        self._lock = threading.Lock()
+        self._factor: CholeskyFactor | None = None
+
+    def __reduce__(self) -> Any:
+        return functools.partial(MapCovariance, origin=self.origin), (self.pose_graph,)
+
+    def __repr__(self) -> str:
+        at = ", ".join(f"{value:.4g}" for value in self.origin)
+        return f"MapCovariance({self.pose_graph!r}, about ({at}) m)"
+
+    @functools.cached_property
+    def frame(self) -> Any:
+        """The poses, Lie `[n]`, NumPy, in the frame of left perturbations: `origin` at zero."""
+        values = np.array(lie.parameters(self._poses))
+        values[:, -len(self.origin) :] -= self.origin
+        return lie.group_of(self._poses)(values)
+
+    @functools.cached_property
+    def adjoint(self) -> Float[np.ndarray, "n d d"]:
+        """Ad of every pose of `frame`: right perturbations to left ones."""
+        return np.asarray(lie.adjoint(self.frame))
+
+    @on_host
+    def joint(
+        self, poses: Int[np.ndarray, " k"], *, side: str = "right"
+    ) -> Float[np.ndarray, "k*d k*d"]:
+        """The joint covariance of some poses.
+
+        Args:
+            poses: `[k]` indices, in any order, each once.
+            side: "right" for perturbations `X exp(δ)`, "left" for `exp(ξ) X` of the poses in
+                `frame`; both are (translation, rotation), metres and radians.
+
+        Returns:
+            `[k·d, k·d]`, blocks in the order of `poses`; zero where the first pose is concerned.
+
+        Raises:
+            InputError: for an index out of range or given twice, another `side`, a singular map.
+        """
+        wanted, d = self._checked(poses, side), self.pose_graph.tangent_dim
+        free = np.flatnonzero(wanted)
+        covariance = np.zeros((len(wanted), d, len(wanted), d))
+        if len(free):
+            found = inverse_block(self.factor(), wanted[free], self._right(wanted[free], side))
+            scalar, shape = np.arange(d), (len(free), d, len(free), d)
+            covariance[np.ix_(free, scalar, free, scalar)] = found.reshape(shape)
+        return covariance.reshape(len(wanted) * d, len(wanted) * d)
+
+    @on_host
+    def diagonal(
+        self, poses: Int[np.ndarray, " k"] | None = None, *, side: str = "right"
+    ) -> Float[np.ndarray, "k d d"]:
+        """Each pose's own covariance; None: all poses, in their order. See `joint`."""
+        everyone = np.arange(self.pose_graph.num_poses)
+        wanted, d = self._checked(everyone if poses is None else poses, side), self._dim
+        free = np.flatnonzero(wanted)
+        covariance = np.zeros((len(wanted), d, d))
+        if len(free):
+            right = self._right(wanted[free], side)
+            covariance[free] = inverse_diagonal(self.factor(), wanted[free], right)
+        return covariance
+
+    @on_host
+    def columns(self, poses: Int[np.ndarray, " c"], *, side: str = "right") -> CovarianceColumns:
+        """The covariance of all poses with some, of which `CovarianceColumns.rows` gives parts.
+
+        For where `joint` would be too large: n times c blocks, and the work of c solves.
+
+        Args:
+            poses: `[c]` indices, each once.
+            side: of the perturbations of `poses`, as in `joint`.
+
+        Raises:
+            InputError: as `joint`.
+        """
+        wanted = self._checked(poses, side)
+        right = self._right(wanted, side)
+        right = np.eye(self._dim) + np.zeros((len(wanted), 1, 1)) if right is None else right
+        right = right * (wanted != 0)[:, None, None]
+        factor = self.factor()
+        solution = inverse_columns(factor, wanted, right)
+        return CovarianceColumns(self.adjoint, factor.plan.position, solution)
+
+    def factor(self) -> CholeskyFactor:
+        """The factor of H; see `covariance_factor`."""
+        with self._lock:
+            if self._factor is None:
+                self._factor = covariance_factor(self.pose_graph)
+            return self._factor
+
+    @property
+    def _dim(self) -> int:
+        return self.pose_graph.tangent_dim
+
+    def _checked(self, poses: Any, side: str) -> Int[np.ndarray, " k"]:
+        if side not in SIDES:
+            raise InputError(f"side: {side!r} given, expected one of {', '.join(SIDES)}")
+        return _check_indices(np.asarray(poses), self.pose_graph.num_poses)
+
+    def _right(self, poses: np.ndarray, side: str) -> Float[np.ndarray, "k d d"] | None:
+        """Right-hand sides: Ad(X)ᵀ for left perturbations, identities (None) for right ones."""
+        return None if side == "right" else self.adjoint[poses].swapaxes(1, 2)
+
+
+class CovarianceColumns(NamedTuple):
+    """The covariance of all poses' perturbations with those of c poses, from `columns`.
+
+    Attributes:
+        adjoint: `[n, d, d]`, of each pose.
+        position: `[n]`, where each pose's block lies.
+        blocks: `[n, d, d, c]`, rows are right perturbations.
+    """
+
+    adjoint: Float[np.ndarray, "n d d"]
+    position: Int[np.ndarray, " n"]
+    blocks: Float[np.ndarray, "n d d c"]
+
+    def rows(
+        self, poses: Int[np.ndarray, " r"], *, side: str = "right"
+    ) -> Float[np.ndarray, "r d d c"]:
+        """The blocks of some poses, by their right or left perturbations."""
+        right = self.blocks[self.position[poses]]
+        if side == "right":
+            return right
+        d = right.shape[1]
+        return (self.adjoint[poses] @ right.reshape(len(right), d, -1)).reshape(right.shape)
+
+
+def joint_marginal_covariance(
+    pose_graph: PoseGraph, poses: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, "k*d k*d"]:
+    """The joint covariance of some poses at the graph's own poses, which should be the optimum.
+
+    For one question; `MapCovariance` answers many by one factorisation.
+
+    Args:
+        pose_graph: an optimised map.
+        poses: `[k]` indices, in any order, each once. The first pose is held, so its rows and
+            columns are zero.
+
+    Returns:
+        `[k·d, k·d]` for right perturbations `X exp(δ)`, δ = (translation, rotation), metres and
+        radians; blocks in the order of `poses`.
+
+    Raises:
+        InputError: for an index out of range or given twice, or a singular map.
+    """
+    return MapCovariance(pose_graph).joint(poses)
+
+
+def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
+    if poses.ndim != 1 or not np.issubdtype(poses.dtype, np.integer):
+        raise InputError(
+            f"poses: shape {poses.shape}, dtype {poses.dtype} given, expected integers [k]"
+        )
+    outside = np.flatnonzero((poses < 0) | (poses >= size))
+    if len(outside):
+        at = outside[0]
+        raise InputError(f"poses[{at}]: {poses[at]} given, expected 0 … {size - 1}")
+    values, count = np.unique(poses, return_counts=True)
+    if (count > 1).any():
+        raise InputError(f"poses: {values[count > 1][0]} given twice, expected each pose once")
+    return poses.astype(np.int64)
+
+
+@on_host
+def covariance_factor(graph: PoseGraph) -> CholeskyFactor:
+    """The factor of H, whose inverse is the covariance of all poses but the first.
+
+    The first pose, which is held, has an identity block and is tied to none.
+
+    Raises:
+        InputError: for a singular map.
+    """
+    tail, head, measurement, information = host_arrays(graph)
+    fixed = np.arange(graph.num_poses) == 0
+    products = _edge_information(graph.poses, tail, head, measurement, information)
+    system = system_for(graph.num_poses, tail, head, fixed, graph.tangent_dim)
+    try:
+        return system.factorize(products)
+    except NotPositiveDefiniteError as error:
+        raise InputError(
+            f"pose_graph {graph.name!r}: its information is singular: some pose is tied to the"
+            " first one by measurements of almost no weight"
+        ) from error
+
+
+def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
+    """JᵀJ of every edge's two poses: a small map's in NumPy, a large one's compiled and padded."""
+    poses, count = lie.as_numpy(poses), len(edges[0])
+    if count < COMPILED_FROM:
+        return _products(poses, padded_edges(*edges, size=count))
+    size = padded_size(lie.parameters(poses).shape[0], count)
+    padded = padded_edges(*edges, size=size)
+    return np.asarray(_compiled_products(lie.pad_leading(poses, size), padded))
+
+
+def _products(poses: Any, edges: Any) -> Any:
+    residual, by_tail, by_head = linearize(poses, edges)
+    return apart(edges.tail[0] >= 0, edge_products, by_tail, by_head, residual).products
+
+
+_compiled_products = jax.jit(_products)
