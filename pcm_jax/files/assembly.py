@@ -9,6 +9,7 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError
+from pcm_jax.files._components import by_components
 from pcm_jax.files._named import named_closures
 from pcm_jax.files.account import Account, Copy, account_of
 from pcm_jax.files.plausibility import doubts
@@ -45,6 +46,8 @@ def graph_of(
         raise FileFormatError(files[0].path, None, "candidates only, expected a map as well")
     check_one_group([file for file in own if len(file.edges) or len(file.vertices)])
     placed, scopes = scopes_of(own, reading.ids)
+    if reading.components:
+        scopes = [by_components(*both) for both in zip(placed, scopes, strict=True)]
     made = assemble(placed, scopes)
     graph = MultiRobotGraph(made.maps, made.closures, made.truth)
     parts, notes = [made.closures], [*notes, *made.notes]

@@ -29,7 +29,8 @@ UNKNOWN, FALSE, TRUE = -1, 0, 1  # labels of edges
 class Reading:
     """How a file's numbers are to be taken: `read_graph`'s options, checked.
 
-    `group` is that of the maps, where they were read before.
+    `group` is that of the maps, where they were read before; `components` makes a robot of each
+    session of a file that no odometry links to another.
 
     Raises:
         InputError: for a value that is not one of those expected.
@@ -42,6 +43,7 @@ class Reading:
     ids: str = "auto"
     default_sigmas: tuple[float, float] | None = None
     group: type[Any] | None = None
+    components: bool = False
 
     def __post_init__(self) -> None:
         allowed = {

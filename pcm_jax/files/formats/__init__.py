@@ -14,15 +14,28 @@ import importlib
 import pkgutil
 
 from pcm_jax.files.formats._registry import (
+    HEAD,
     Format,
     formats,
+    markdown,
     named,
     recognised,
     register,
+    rows,
     unregister,
 )
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
 
-__all__ = ["Format", "formats", "named", "recognised", "register", "unregister"]
+__all__ = [
+    "HEAD",
+    "Format",
+    "formats",
+    "markdown",
+    "named",
+    "recognised",
+    "register",
+    "rows",
+    "unregister",
+]

@@ -107,3 +107,29 @@ def recognised(source: Source) -> Format:
     raise FileFormatError(
         source.path, number, f"{line[:40]!r} begins no format known, expected one of {names}"
     )
+
+
+HEAD = ("format", "holds", "read", "written", "information", "priors", "times", "labels")
+
+
+def rows() -> list[list[str]]:
+    """A row of `HEAD` for each format."""
+    return [
+        [
+            one.name,
+            one.about,
+            "yes" if one.read else "no",
+            ", ".join(one.suffixes) if one.write else "no",
+            one.information,
+            one.priors,
+            one.stamps,
+            one.labels,
+        ]
+        for one in formats()
+    ]
+
+
+def markdown() -> str:
+    """The same as a table in Markdown."""
+    lines = [HEAD, ["---"] * len(HEAD), *rows()]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

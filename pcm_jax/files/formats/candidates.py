@@ -95,6 +95,9 @@ def read_candidates(source: Source, reading: Reading) -> PoseFile:
     rows = csv_rows(source.path, source.lines)
     header = [word.lower() for word in rows.first] if _is_header(rows) else None
     group = reading.group or _group_of(rows, header)
+    standard = (*ENDS, *COLUMNS["angle" if group is jaxlie.SE2 else "quaternion"])
+    if header is not None and tuple(header) == standard:
+        rows, header = rows.rest, None  # whatever follows has no names
     columns = _Columns(rows, header, group)
     rows = rows.rest if header is not None else rows
     if not len(rows):
