@@ -19,7 +19,7 @@ ONLY_IMPORT = {
     "arrays": {"errors"},
     "store": set(),
     "tables": {"errors"},
-    "clique": {"errors"},
+    "clique": {"errors", "arrays"},
     "sparse": {"errors", "arrays"},
 }
 # `MergeResult.plot` is a convenience that reaches down by one lazy import.
