@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     from pcm_jax.clique import Clique, maximum_clique, maximum_clique_batched
     from pcm_jax.consistency import (
         ConsistencyProblem,
+        Evidence,
         PackedGraph,
+        PairEvidence,
         chi2_gate,
         consistency_graph,
         consistency_problem,
@@ -59,7 +61,7 @@ if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
     from pcm_jax.mapping import MapCovariance, Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge_differentiable
-    from pcm_jax.pipeline import merge, select
+    from pcm_jax.pipeline import merge, select, weigh
     from pcm_jax.selection import (
         Selection,
         WithinSelection,
@@ -76,6 +78,7 @@ __all__ = [
     "Clique",
     "ConsistencyProblem",
     "ConvergenceWarning",
+    "Evidence",
     "FileFormatError",
     "InputError",
     "InputWarning",
@@ -84,6 +87,7 @@ __all__ = [
     "MergeResult",
     "MultiRobotGraph",
     "PackedGraph",
+    "PairEvidence",
     "PoseGraph",
     "Selection",
     "Solution",
@@ -118,6 +122,7 @@ __all__ = [
     "to_gtsam",
     "to_networkx",
     "true_positive_rate",
+    "weigh",
     "write_g2o",
     "write_trajectory",
 ]
@@ -136,7 +141,9 @@ _NAMES_OF = {
     "mapping": ("MapCovariance", "Solution", "joint_marginal_covariance", "optimize"),
     "consistency": (
         "ConsistencyProblem",
+        "Evidence",
         "PackedGraph",
+        "PairEvidence",
         "chi2_gate",
         "consistency_graph",
         "consistency_problem",
@@ -158,7 +165,7 @@ _NAMES_OF = {
     "evaluation": ("ate_rmse", "false_positive_rate", "precision", "true_positive_rate"),
     "experiments": ("sweep",),
     "merging": ("MergeResult", "merge_differentiable"),
-    "pipeline": ("merge", "select"),
+    "pipeline": ("merge", "select", "weigh"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 
