@@ -27,7 +27,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import FileFormatError, InputError, lie
-from pcm_jax.files.text import Rows, read_lines, table_rows
+from pcm_jax.files.source import read_lines
+from pcm_jax.files.text import Rows, table_rows
 from pcm_jax.graph.validation import raise_first
 from pcm_jax.tables import is_number
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.cli._inputs import Given, read
+from pcm_jax.cli._outputs import json_text
 from pcm_jax.cli._progress import Progress
 from pcm_jax.cli.merge import TOO_GOOD
-from pcm_jax.files import read_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.tables import columns_of_text
@@ -21,21 +22,47 @@ HEAD = ("robot", "poses", "ids", "edges", "odometry", "loops", "length (m)", "ex
 
 
 def run(options: Any) -> None:
-    """Prints robots, closures, connectivity, and the odd things found."""
+    """Prints how files were read, robots, closures, connectivity, and the odd things found."""
     with Progress("reading") as progress, warnings.catch_warnings(record=True) as corrections:
-        graph = read_graph(
-            *options.files,
-            closures=options.closures,
-            information=options.information,
-            repair="clip",  # so that it can be said how many need it
-        )
+        given = read(options, repair="clip")  # so that it can be said how many need it
         progress("looking for what is odd")
-        odd = [str(correction.message) for correction in corrections] + list(oddities(graph))
-    parts = [f"{graph.group.__name__} poses", robots(graph), closures(graph)]
+        graph, account = given.graph, given.account
+        odd = [str(correction.message) for correction in corrections]
+        odd += [*account.warnings(), *(line for line, severe in account.doubts if not severe)]
+        odd += oddities(graph)
+    if options.json:
+        print(json_text(_as_dict(given, odd)), end="")
+        return
+    told = [line for file in account.files for line in file.lines()]
+    parts = ["\n".join(told), f"{graph.group.__name__} poses", robots(graph), closures(graph)]
+    if account.copies:
+        parts.append("\n".join(["stated again, counted once:", *map(str, account.copies)]))
     parts.append("odd:" if odd else "nothing odd found")
     print("\n\n".join(parts))
     for finding in odd:
         print(f"- {finding}")
+
+
+def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
+    """What is printed, as JSON has it."""
+    graph = given.graph
+    return {
+        **given.as_dict(),
+        "group": graph.group.__name__,
+        "robots": [dict(zip(HEAD, _robot(one), strict=True)) for one in graph.maps],
+        "closures": [
+            {"a": graph.names[a], "b": graph.names[b], "measured": len(indices)}
+            for a, b in graph.closures.pairs()
+            for indices in (graph.closures.between(a, b)[1],)
+        ],
+        "groups": [[graph.names[robot] for robot in group] for group in _groups(graph)],
+        "odd": odd,
+    }
+
+
+def _groups(graph: MultiRobotGraph) -> list[Any]:
+    between = graph.closures
+    return list(robot_groups(len(graph.maps), between, np.ones(len(between), bool)))
 
 
 def robots(graph: MultiRobotGraph) -> str:
@@ -72,8 +99,7 @@ def closures(graph: MultiRobotGraph) -> str:
         [f"{graph.names[a]} - {graph.names[b]}", len(between.between(a, b)[1])]
         for a, b in between.pairs()
     ]
-    groups = robot_groups(len(graph.maps), between, np.ones(len(between), bool))
-    joined = " | ".join(" ".join(graph.names[robot] for robot in group) for group in groups)
+    joined = " | ".join(" ".join(graph.names[robot] for robot in group) for group in _groups(graph))
     return f"{columns_of_text(['robots', 'closures'], rows)}\nconnected by closures: {joined}"
 
 

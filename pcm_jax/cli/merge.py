@@ -25,7 +25,7 @@ def run(options: Any) -> None:
 
 
 def _check_outputs(options: Any) -> None:
-    inputs = [*options.files, *([options.closures] if options.closures else [])]
+    inputs = [*options.files, *(options.closures or [])]
     paths = [path for path in (options.output, options.report, options.plot) if path]
     outputs.check_outputs(paths, inputs)
     if options.plot:
@@ -37,7 +37,8 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     from pcm_jax.pipeline import merge
 
     start = time.perf_counter()
-    graph = graph_to_merge(options)
+    given = graph_to_merge(options)
+    graph = given.graph
     seconds = {"read": time.perf_counter() - start}
     cleaned = {}
     if options.clean_maps:
@@ -53,8 +54,8 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
         time_limit=options.time_limit,
         progress=progress,
     )
-    report = result.report()
-    return result, {**report, **cleaned, "seconds": {**seconds, **report["seconds"]}}
+    report = {**result.report(), **cleaned, "input": given.as_dict()}
+    return result, {**report, "seconds": {**seconds, **report["seconds"]}}
 
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
@@ -69,7 +70,7 @@ def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
 
 def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
     """Says what was decided of one map; one without a loop has no selection."""
-    rejected = [] if selection is None else (~selection.accepted).nonzero()[0].tolist()
+    rejected = [] if selection is None else (~selection.kept).nonzero()[0].tolist()
     closures = 0 if selection is None else len(selection.closures)
     return {
         "robot": pose_graph.name,
@@ -107,6 +108,8 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
 def summary(report: dict[str, Any]) -> str:
     """A report as the text that `pcm-jax merge` prints."""
     parts = [_robots(report), _pairs(report["robot_pairs"]), _fit(report["solution"])]
+    if report.get("input", {}).get("cuts"):
+        parts.insert(0, "\n".join(report["input"]["cuts"]))
     if "cleaned" in report:
         parts.insert(0, _maps(report["cleaned"]))
     return "\n\n".join(parts)

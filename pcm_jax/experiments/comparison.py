@@ -81,7 +81,7 @@ BEYOND_THE_PAPER: dict[str, Method] = {
 
 
 def _selects(method: Method) -> bool:
-    """Says whether a method selects from the evidence, a function of one's own included."""
+    """True if a method selects from the evidence, a function of one's own included."""
     return callable(method.name) or method.name in METHODS
 
 

@@ -143,6 +143,8 @@ def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
         raise InputError(f"ids: shape {values.shape} given, expected ({count},), one per pose")
     if count and not np.issubdtype(values.dtype, np.integer):
         raise InputError(f"ids: {values.dtype} given, expected integers")
+    if values.dtype.kind == "u" and count and values.max() > np.iinfo(np.int64).max:
+        raise InputError(f"ids: {values.max()} given, expected integers below 2^63")
     unique, counts = np.unique(values, return_counts=True)
     if len(unique) < count:
         raise InputError(f"ids: {unique[np.argmax(counts)]} occurs more than once")

@@ -16,7 +16,6 @@ import dataclasses
 
 import jaxlie
 
-FORMATS = ("g2o", "toro", "isam")
 COLUMNS = {
     "angle": ("x", "y", "theta"),
     "quaternion": ("x", "y", "z", "qx", "qy", "qz", "qw"),
@@ -32,11 +31,13 @@ class Tag:
         edge: whether it is an edge (two ids and information) or a vertex (one id).
         coordinates: key of `COLUMNS`.
         formats: the formats that have it.
+        skipped: columns after the ids that say nothing of the measurement (a switch's id).
     """
 
     edge: bool
     coordinates: str
     formats: tuple[str, ...]
+    skipped: int = 0
 
     @property
     def group(self) -> type:
@@ -56,12 +57,18 @@ class Tag:
     @property
     def width(self) -> int:
         """Number of words in a line, the tag included."""
-        return 1 + self.ids + len(COLUMNS[self.coordinates]) + self.triangle
+        return self.start + len(COLUMNS[self.coordinates]) + self.triangle
+
+    @property
+    def start(self) -> int:
+        """The first column of coordinates."""
+        return 1 + self.ids + self.skipped
 
     @property
     def layout(self) -> str:
         """The columns in words."""
-        names = ["tag", *(("id", "id") if self.edge else ("id",)), *COLUMNS[self.coordinates]]
+        ends = ("id", "id") if self.edge else ("id",)
+        names = ["tag", *ends, *("switch",) * self.skipped, *COLUMNS[self.coordinates]]
         information = f" and {self.triangle} of information" if self.edge else ""
         return " ".join(names) + information
 
@@ -71,6 +78,13 @@ TAGS = {
     "EDGE_SE2": Tag(True, "angle", ("g2o",)),
     "VERTEX_SE3:QUAT": Tag(False, "quaternion", ("g2o",)),
     "EDGE_SE3:QUAT": Tag(True, "quaternion", ("g2o",)),
+    # What RTAB-Map writes for tags with an attitude; Vertigo's robust edges, whose switches and
+    # weights another program's optimiser wants.
+    "EDGE_SE3": Tag(True, "quaternion", ("g2o",)),
+    "EDGE_SE2_SWITCHABLE": Tag(True, "angle", ("g2o",), 1),
+    "EDGE_SE3_SWITCHABLE": Tag(True, "quaternion", ("g2o",), 1),
+    "EDGE_SE2_MAXMIX": Tag(True, "angle", ("g2o",), 1),
+    "EDGE_SE3_MAXMIX": Tag(True, "quaternion", ("g2o",), 1),
     "VERTEX2": Tag(False, "angle", ("toro",)),
     "VERTEX3": Tag(False, "euler", ("toro",)),
     "EDGE2": Tag(True, "angle", ("toro", "isam")),
@@ -88,6 +102,8 @@ SKIPPED_PREFIXES = (
     "PARAMS_",
     "CACHE_",
     "VERTEX_XY",
+    "VERTEX_SE3:EXPMAP",
+    "EDGE_SE3:EXPMAP",
     "VERTEX_POINT",
     "VERTEX_TRACKXYZ",
     "VERTEX_SEGMENT2D",

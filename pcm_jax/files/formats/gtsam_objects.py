@@ -18,10 +18,11 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError, InputWarning
-from pcm_jax.files.header import scope_of
-from pcm_jax.files.pose_file import Lines, PoseFile
-from pcm_jax.files.robots import assemble
-from pcm_jax.files.write import check_group, closure_keys, original_keys
+from pcm_jax.files.assembly import graph_of
+from pcm_jax.files.formats.g2o import check_group, closure_keys, original_keys
+from pcm_jax.files.pose_file import Lines, PoseFile, Reading
+from pcm_jax.files.scopes import Scope, made_scope
+from pcm_jax.graph import symbols
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import argument_fault, check_information, check_self_loops
@@ -103,9 +104,18 @@ def from_gtsam(factors: Any, values: Any) -> MultiRobotGraph:
     _warn_of_others([each for _, each in chosen if not isinstance(each, kind.between)])
     poses = [(key, pose) for key in list(values.keys()) if (pose := _pose(values, key, kind))]
     vertices = _lines([[key] for key, _ in poses], [pose for _, pose in poses], kind)
-    found = PoseFile("factors", kind.group, vertices, _edges(edges, gtsam, kind), [], 0)
-    ids = np.concatenate([found.vertices.ids.ravel(), found.edges.ids.ravel()])
-    return MultiRobotGraph(*assemble([found], [scope_of(found.path, 0, ids, [])]))
+    found = PoseFile("factors", kind.group, vertices, _edges(edges, gtsam, kind))
+    found = dataclasses.replace(found, format="gtsam", scope=_scope(found))
+    graph, account = graph_of([found], Reading())
+    for line in account.warnings():
+        warnings.warn(InputWarning(line), stacklevel=2)
+    return graph
+
+
+def _scope(found: PoseFile) -> Scope | None:
+    """One nameless robot where keys are no symbols."""
+    keyed = symbols.are_symbols(found.ids) or symbols.are_labelled(found.ids)
+    return None if keyed else made_scope(["factors"], [""], kind="one", rule="plain keys")
 
 
 def _gtsam() -> ModuleType:
