@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pcm_jax
 from benchmarks.suite import headlines, report
 from pcm_jax.cli import main
 from pcm_jax.cli._arguments import parser
@@ -58,8 +57,6 @@ def names(folder):
     os.chdir(folder)
     try:
         for block in PYTHON:
-            if "weigh" in block and not hasattr(pcm_jax, "weigh"):
-                continue
             exec(compile(block, "README.md", "exec"), names)
     finally:
         os.chdir(here)
@@ -119,7 +116,6 @@ def test_python_recipes(names):
     np.testing.assert_array_equal(names["cleaned"].graph.ids, names["graph"].maps[0].ids)
 
 
-@pytest.mark.skipif(not hasattr(pcm_jax, "weigh"), reason="evidence is not an object yet")
 def test_python_of_evidence(names):
     strict, again, mine = (names[name].accepted for name in ("strict", "again", "mine"))
     assert 2 <= strict.sum() <= names["result"].accepted.sum()

@@ -44,7 +44,7 @@ def run(options: Any) -> None:
 
 
 def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
-    """What is printed, as JSON has it."""
+    """Says what is printed, as JSON has it."""
     graph = given.graph
     return {
         **given.as_dict(),
