@@ -19,7 +19,7 @@ from jaxtyping import Bool, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import device_array
-from pcm_jax.errors import InputWarning
+from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution, optimize
 from pcm_jax.mapping.least_squares import PoseProblem
@@ -92,7 +92,7 @@ def solve_joint(
     own = np.ones(roomy.num_edges - len(used), bool)
     kept = np.concatenate([own, used])
     joint = roomy if used.all() else _with_edges(roomy, np.flatnonzero(kept))
-    options = {"method": method, "engine": engine, "max_steps": PATIENCE}
+    options = {"solver": method, "engine": engine, "max_steps": PATIENCE}
     attempts = [_solve_in(roomy, kept, joint, options)]
     if not attempts[-1].converged:
         attempts.append(optimize(joint, initial="chordal", **options))
@@ -104,7 +104,7 @@ def solve_joint(
     warnings.warn(
         f"merged map {joint.name!r}: the solve did not converge; the accepted closures contradict"
         " each other or the maps",
-        InputWarning,
+        ConvergenceWarning,
         stacklevel=2,
     )
     return min([*attempts, solution], key=lambda s: s.cost if math.isfinite(s.cost) else math.inf)
@@ -142,7 +142,7 @@ def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solut
         kept = _with_edges(joint, edges).with_poses(solution.graph.poses)
         steps = AT_LAST if used == closures else ON_THE_WAY
         solution = optimize(
-            kept, initial="given", method="levenberg-marquardt", engine=engine, max_steps=steps
+            kept, initial="given", solver="levenberg-marquardt", engine=engine, max_steps=steps
         )
         iterations += solution.iterations
         if used == closures:

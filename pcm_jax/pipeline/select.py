@@ -20,7 +20,7 @@ from pcm_jax.consistency import (
     stream_consistency_graph,
 )
 from pcm_jax.consistency.problem import bytes_needed
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.selection.choice import Choice
 from pcm_jax.selection.methods import OF_A_GRAPH, check_method, choose
@@ -106,7 +106,7 @@ def _optimised(pose_graph: PoseGraph) -> PoseGraph:
         warnings.warn(
             f"map {pose_graph.name!r}: optimisation stopped after {solution.iterations} steps "
             "before it converged, its covariances are those of where it stopped",
-            InputWarning,
+            ConvergenceWarning,
             stacklevel=3,
         )
     return solution.graph

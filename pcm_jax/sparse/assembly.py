@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from pcm_jax.sparse import registry
 from pcm_jax.sparse._symbolic import FrontTree, front_tree, ragged_arange
-from pcm_jax.sparse.pattern_cache import PatternCache
 
 PADDED_PIVOTS = np.array([1, 2, 3, 4, 6, 8, 12, 16])
 PADDED_RESTS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24])
@@ -97,10 +97,6 @@ class CholeskyPlan:
         return self.tree.position
 
 
-_trees: PatternCache[FrontTree] = PatternCache()
-_plans: PatternCache[CholeskyPlan] = PatternCache()
-
-
 def plan_for(
     size: int,
     tail: Int[np.ndarray, " e"],
@@ -120,9 +116,9 @@ def plan_for(
         return front_tree(size, tail, head)
 
     def make_plan() -> CholeskyPlan:
-        return _make_plan(_trees.get(make_tree, size, tail, head), tail, head, block_dim)
+        return _make_plan(registry.trees.get(make_tree, size, tail, head), tail, head, block_dim)
 
-    return _plans.get(make_plan, size, block_dim, tail, head)
+    return registry.plans.get(make_plan, size, block_dim, tail, head)
 
 
 class _Shapes(NamedTuple):
@@ -339,10 +335,10 @@ def _gather(shapes: _Shapes, terms: _Terms, count: int, width: int, chunks: int,
 
 
 def _ones(count: int) -> np.ndarray:
-    """Ones, in memory that the gathers of all plans share."""
+    """Ones, in memory that the gathers of all plans share: twice the largest at most."""
     return _ones_of(count.bit_length())[:count]
 
 
-@functools.cache
+@functools.lru_cache(maxsize=64)
 def _ones_of(bits: int) -> np.ndarray:
     return np.ones(1 << bits)

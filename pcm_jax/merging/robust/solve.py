@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import PoseProblem
 from pcm_jax.mapping.optimization import host_arrays
@@ -166,7 +166,7 @@ def _solve_group(
         warnings.warn(
             f"merged map {joint.name!r}: the weights of the closures did not settle in "
             f"{turns.iterations} turns",
-            InputWarning,
+            ConvergenceWarning,
             stacklevel=2,
         )
     return members, used, turns
@@ -201,7 +201,7 @@ def reweighted(
         solved = problem.solve(
             poses,
             scale=of_edges,
-            method=solver,
+            solver=solver,
             engine=engine,
             max_steps=reweighting.evaluations,
         )
