@@ -252,7 +252,7 @@ def sessions(graph: PoseGraph, cut: int, maps: str) -> MultiRobotGraph:
     made = []
     for one in both.maps:
         first = lie.inverse(lie.take(lie.as_numpy(one.poses), 0))
-        own = one.with_poses(lie.as_device(lie.compose(first, lie.as_numpy(one.poses))))
+        own = one.with_poses(lie.compose(first, lie.as_numpy(one.poses)))
         if maps == "odometry":
             own = real.with_edges(own, real.steps(own))
         elif maps == "cleaned" and not real.steps(own).all():

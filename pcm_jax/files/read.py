@@ -5,10 +5,8 @@ from __future__ import annotations
 import warnings
 from os import PathLike
 
-import jax
 import numpy as np
 
-from pcm_jax import lie
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
 from pcm_jax.files.candidates import read_candidates
 from pcm_jax.files.header import Scope, scope_of
@@ -75,7 +73,7 @@ def read_graph(
     clipped = sum(file.clipped for file in files)
     if closures is not None:
         candidates, repaired = read_candidates(closures, graph.maps, reading)
-        graph = MultiRobotGraph(graph.maps, _joined(between, candidates))
+        graph = MultiRobotGraph(graph.maps, LoopClosures.concatenate([between, candidates]))
         clipped += repaired
     if clipped:
         names = ", ".join(file.path for file in files)
@@ -100,17 +98,3 @@ def _check_one_group(files: list[PoseFile]) -> None:
                 f"holds {file.group.__name__} poses, but {files[0].path} holds"
                 f" {files[0].group.__name__} poses: SE(2) and SE(3) are mixed",
             )
-
-
-def _joined(first: LoopClosures, second: LoopClosures) -> LoopClosures:
-    """Closures end to end."""
-    both = [
-        (np.asarray(a), np.asarray(b))
-        for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
-    ]
-    ends = tuple(np.concatenate(pair) for pair in both[:4])
-    measurement = lie.concatenate(
-        [lie.as_numpy(first.measurement), lie.as_numpy(second.measurement)]
-    )
-    source = np.concatenate([first.source, second.source])
-    return LoopClosures.from_checked(ends, measurement, np.concatenate(both[5]), source)

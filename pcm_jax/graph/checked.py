@@ -149,6 +149,21 @@ def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
     return values.astype(np.int64)
 
 
+def as_weights(weights: Any, count: int) -> Float[np.ndarray, " m"]:
+    """float64 `[count]`, finite and at least 0; ones for None."""
+    if weights is None:
+        return np.ones(count)
+    values = as_floats(weights, "weight", f"an array ({count},)")
+    if values.shape != (count,):
+        raise InputError(f"weight: shape {values.shape} given, expected ({count},)")
+    validation.raise_first(
+        ~(np.isfinite(values) & (values >= 0.0)),
+        argument_fault("weight"),
+        lambda row: f"{values[row]} given, expected a finite number of at least 0",
+    )
+    return values
+
+
 def as_names(names: Any, count: int) -> np.ndarray:
     """Object array `[count]` of strings; empty ones for None."""
     out = np.full(count, "", dtype=object)

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
 from pcm_jax.graph import checked, symbols, validation
 from pcm_jax.graph.checked import batch_size
@@ -20,7 +19,8 @@ from pcm_jax.graph.validation import argument_fault
 if TYPE_CHECKING:
     from pcm_jax.graph.pose_graph import PoseGraph
 
-TRACED = ("robot_a", "pose_a", "robot_b", "pose_b", "measurement", "information")
+TRACED = ("robot_a", "pose_a", "robot_b", "pose_b", "measurement", "information", "weight")
+ENDS = TRACED[:4]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -31,9 +31,9 @@ class LoopClosures:
     `robot_a[k]`, is `measurement[k]`, with an error in the right perturbation `z exp(δ)`,
     δ = (translation, rotation) in metres and radians. Robots and poses are indices, not ids.
 
-    A pytree with keys: all fields but `source` are its children. `source` lives outside the traced
-    part, as a `PoseGraph`'s ids do, and is lost where JAX rebuilds the object. The constructor
-    checks nothing: see `from_arrays` and `from_ids`.
+    NumPy-backed, and a pytree with keys: all fields but `source` are its children. `source` lives
+    outside the traced part, as a `PoseGraph`'s ids do, and is lost where JAX rebuilds the object.
+    The constructor checks nothing: see `from_arrays` and `from_ids`.
 
     Attributes:
         robot_a: int32 `[m]`.
@@ -42,18 +42,22 @@ class LoopClosures:
         pose_b: int32 `[m]`.
         measurement: `jaxlie.SE2` or `jaxlie.SE3` `[m]`.
         information: `[m, d, d]`, inverse covariance of δ.
+        weight: float `[m]`, at least 0: how much a front end trusts each closure; 1 by default.
         source: NumPy `[m]` of strings, "file:line" of each closure, or "" where not from a file.
     """
 
-    robot_a: Int[Array, " m"]
-    pose_a: Int[Array, " m"]
-    robot_b: Int[Array, " m"]
-    pose_b: Int[Array, " m"]
+    robot_a: Int[np.ndarray | Array, " m"]
+    pose_a: Int[np.ndarray | Array, " m"]
+    robot_b: Int[np.ndarray | Array, " m"]
+    pose_b: Int[np.ndarray | Array, " m"]
     measurement: Any
-    information: Float[Array, "m d d"]
+    information: Float[np.ndarray | Array, "m d d"]
+    weight: Float[np.ndarray | Array, " m"] = None  # type: ignore[assignment]
     source: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
+        if self.weight is None:
+            object.__setattr__(self, "weight", np.ones(batch_size(self.measurement)))
         if self.source is None:
             object.__setattr__(self, "source", np.full(batch_size(self.measurement), "", object))
 
@@ -87,10 +91,11 @@ class LoopClosures:
                 )
             rows = np.atleast_1d(rows) if rows.size else np.zeros(0, np.int64)
         return self.from_checked(
-            tuple(np.asarray(getattr(self, name))[rows] for name in TRACED[:4]),
+            tuple(np.asarray(getattr(self, name))[rows] for name in ENDS),
             lie.take(lie.as_numpy(self.measurement), rows),
             np.asarray(self.information)[rows],
             self.source[rows],
+            np.asarray(self.weight)[rows],
         )
 
     def between(self, a: int, b: int) -> tuple[LoopClosures, np.ndarray]:
@@ -117,9 +122,10 @@ class LoopClosures:
         information = np.array(self.information)
         back = lie.adjoint(lie.take(inverse, rows))  # Ad(z)⁻¹ = Ad(z⁻¹)
         information[rows] = np.swapaxes(back, 1, 2) @ information[rows] @ back
-        ends = [np.asarray(getattr(self, name)) for name in TRACED[:4]]
+        ends = [np.asarray(getattr(self, name)) for name in ENDS]
         flipped = tuple(np.where(rows, ends[(k + 2) % 4], ends[k]) for k in range(4))
-        return self.from_checked(flipped, self.group(values), information, self.source)
+        weight = np.asarray(self.weight)
+        return self.from_checked(flipped, self.group(values), information, self.source, weight)
 
     def pairs(self) -> list[tuple[int, int]]:
         """The pairs of robots that closures join, (a, b) with a < b, sorted."""
@@ -139,9 +145,10 @@ class LoopClosures:
         information: Any = None,
         covariance: Any = None,
         tangent_order: str = "translation-rotation",
+        weight: Any = None,
         source: Any = None,
     ) -> LoopClosures:
-        """Validated closures, float64 also where 64-bit types are not enabled.
+        """Makes validated closures, float64 also where 64-bit types are not enabled.
 
         Whether the robots and poses exist is checked where the maps are known
         (`MultiRobotGraph`).
@@ -156,11 +163,13 @@ class LoopClosures:
             information: `[m, d, d]`, symmetric positive definite; or
             covariance: its inverse. Exactly one of the two.
             tangent_order: "translation-rotation" or "rotation-translation" (GTSAM's `Pose3`).
+            weight: numbers `[m]` of at least 0, a front end's score; 1 by default.
             source: strings `[m]`, where each closure was read.
 
         Raises:
-            InputError: for a wrong shape, a number that is not finite, a negative index, a closure
-                from a robot to itself, information that is not symmetric and positive definite.
+            InputError: for a wrong shape, a number that is not finite, a negative index or weight,
+                a closure from a robot to itself, information that is not symmetric and positive
+                definite.
         """
         edges = checked.as_transforms(measurement, "measurement")
         count = len(lie.parameters(edges))
@@ -180,7 +189,8 @@ class LoopClosures:
             lambda row: f"closure from robot {ends[0][row]} to itself, expected two robots",
         )
         matrices = checked.as_information(information, covariance, edges, tangent_order)
-        return cls.from_checked(tuple(ends), edges, matrices, checked.as_names(source, count))
+        names, weights = checked.as_names(source, count), checked.as_weights(weight, count)
+        return cls.from_checked(tuple(ends), edges, matrices, names, weights)
 
     @classmethod
     def from_ids(
@@ -193,7 +203,7 @@ class LoopClosures:
         id_b: Any,
         **measured: Any,
     ) -> LoopClosures:
-        """Validated closures from the ids of poses.
+        """Makes validated closures from the ids of poses.
 
         Args:
             maps: the robots' maps.
@@ -202,8 +212,8 @@ class LoopClosures:
                 index will do.
             robot_b: like `robot_a`.
             id_b: like `id_a`.
-            measured: `measurement`, `information` or `covariance`, `tangent_order`, `source`, as
-                for `from_arrays`.
+            measured: `measurement`, `information` or `covariance`, `tangent_order`, `weight`,
+                `source`, as for `from_arrays`.
 
         Raises:
             InputError: as `from_arrays`, and for a robot or an id that is not there.
@@ -224,21 +234,45 @@ class LoopClosures:
         measurement: Any,
         information: np.ndarray,
         source: np.ndarray,
+        weight: np.ndarray | None = None,
     ) -> LoopClosures:
-        """From NumPy arrays and NumPy-backed transforms that were validated before.
+        """Makes closures of NumPy arrays and NumPy-backed transforms validated before.
 
         Args:
             ends: `robot_a`, `pose_a`, `robot_b`, `pose_b`.
             measurement: as the attribute of that name.
             information: likewise.
             source: likewise.
+            weight: likewise; None for ones.
         """
-        a, i, b, k = (device_array(end, np.int32) for end in ends)
-        return cls(a, i, b, k, lie.as_device(measurement), device_array(information), source)
+        a, i, b, k = (np.asarray(end, np.int32) for end in ends)
+        measurement = lie.as_numpy(measurement)
+        information = np.asarray(information, np.float64)
+        weight = np.ones(len(a)) if weight is None else np.asarray(weight, np.float64)
+        return cls(a, i, b, k, measurement, information, weight, source)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[LoopClosures]) -> LoopClosures:
+        """Joins closures end to end, in the order given; robots and poses keep their indices.
+
+        Raises:
+            InputError: for no parts, or parts of different groups.
+        """
+        groups = {part.group.__name__ for part in parts}
+        if len(groups) != 1:
+            given = ", ".join(sorted(groups)) or "none"
+            raise InputError(f"parts: groups {given} given, expected closures of one group")
+        return cls.from_checked(
+            tuple(np.concatenate([np.asarray(getattr(p, name)) for p in parts]) for name in ENDS),
+            lie.concatenate([lie.as_numpy(part.measurement) for part in parts]),
+            np.concatenate([np.asarray(part.information) for part in parts]),
+            np.concatenate([part.source for part in parts]),
+            np.concatenate([np.asarray(part.weight) for part in parts]),
+        )
 
     @classmethod
     def empty(cls, group: type[Any]) -> LoopClosures:
-        """No closures, of a group."""
+        """Makes no closures, of a group."""
         d = lie.tangent_dim(group)
         none = np.zeros(0, np.int32)
         return cls.from_checked(

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
@@ -45,15 +44,16 @@ def pad_graph(graph: MultiRobotGraph, *, poses: int, edges: int, closures: int) 
         for each in (own.robot_a, own.pose_a, own.robot_b, own.pose_b)
     )
     measurement, information = _measured(own, closures)
+    weight = np.pad(np.asarray(own.weight), (0, closures - len(own)))
     return MultiRobotGraph(
-        maps, LoopClosures(robot_a, pose_a, robot_b, pose_b, measurement, information)
+        maps, LoopClosures(robot_a, pose_a, robot_b, pose_b, measurement, information, weight)
     )
 
 
 def _padded_map(own: PoseGraph, poses: int, edges: int) -> PoseGraph:
     measurement, information = _measured(own, edges)
     return PoseGraph(
-        lie.as_device(lie.pad_leading(lie.as_numpy(own.poses), poses)),
+        lie.pad_leading(lie.as_numpy(own.poses), poses),
         _padded_indices(own.tail, edges),
         _padded_indices(own.head, edges),
         measurement,
@@ -68,7 +68,7 @@ def _require(count: int, most: int, what: str) -> None:
 
 def _padded_indices(values: Any, size: int) -> Any:
     """int32 `[size]`, zeros at the end."""
-    return device_array(np.pad(np.asarray(values), (0, size - len(values))), np.int32)
+    return np.pad(np.asarray(values, np.int32), (0, size - len(values)))
 
 
 def _measured(edges: PoseGraph | LoopClosures, size: int) -> tuple[Any, Any]:
@@ -77,4 +77,4 @@ def _measured(edges: PoseGraph | LoopClosures, size: int) -> tuple[Any, Any]:
     none = lie.identity(group, (missing,))
     measurement = lie.concatenate([lie.as_numpy(edges.measurement), none])
     information = np.pad(np.asarray(edges.information), ((0, missing), (0, 0), (0, 0)))
-    return lie.as_device(measurement), device_array(information)
+    return measurement, information

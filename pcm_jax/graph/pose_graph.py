@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array
 from pcm_jax.errors import InputError
 from pcm_jax.graph import checked, symbols, validation
 from pcm_jax.graph.checked import batch_size
@@ -28,11 +27,11 @@ class PoseGraph:
     in the right perturbation of the measurement, `z exp(δ)`, δ = (translation, rotation) in metres
     and radians, of the given information.
 
-    A pytree with keys: `poses`, `tail`, `head`, `measurement`, `information` are its children.
-    `ids`, `name` and `source` live outside the traced part. They are no children and no auxiliary
-    data, so they cost no recompilation and cannot go stale, and whatever passes through a JAX
-    transformation or `jax.tree.map` comes back with their defaults: `ids` 0 … n − 1, no name, no
-    sources. `with_poses` and `dataclasses.replace` keep them.
+    NumPy-backed, and a pytree with keys: `poses`, `tail`, `head`, `measurement`, `information` are
+    its children. `ids`, `name` and `source` live outside the traced part. They are no children and
+    no auxiliary data, so they cost no recompilation and cannot go stale, and whatever passes
+    through a JAX transformation or `jax.tree.map` comes back with their defaults: `ids` 0 … n − 1,
+    no name, no sources. `with_poses`, `with_edges` and `dataclasses.replace` keep them.
 
     The constructor checks nothing, since its arguments may be tracers: see `from_arrays`.
 
@@ -48,10 +47,10 @@ class PoseGraph:
     """
 
     poses: Any
-    tail: Int[Array, " e"]
-    head: Int[Array, " e"]
+    tail: Int[np.ndarray | Array, " e"]
+    head: Int[np.ndarray | Array, " e"]
     measurement: Any
-    information: Float[Array, "e d d"]
+    information: Float[np.ndarray | Array, "e d d"]
     ids: np.ndarray = None  # type: ignore[assignment]
     name: str = ""
     source: np.ndarray = None  # type: ignore[assignment]
@@ -91,8 +90,20 @@ class PoseGraph:
         return f"{self.name}{symbols.indices_of(self.ids[[index]])[0]}"
 
     def with_poses(self, poses: Any) -> PoseGraph:
-        """The same graph at other poses; ids, name and sources are kept."""
+        """Puts the same graph at other poses; ids, name and sources are kept."""
         return dataclasses.replace(self, poses=poses)
+
+    def with_edges(self, edges: Any) -> PoseGraph:
+        """Keeps some of the edges, by a mask `[e]` or indices; poses, ids and name are kept."""
+        rows = np.asarray(edges)
+        return dataclasses.replace(
+            self,
+            tail=np.asarray(self.tail)[rows],
+            head=np.asarray(self.head)[rows],
+            measurement=lie.take(lie.as_numpy(self.measurement), rows),
+            information=np.asarray(self.information)[rows],
+            source=self.source[rows],
+        )
 
     @classmethod
     def from_arrays(
@@ -109,7 +120,7 @@ class PoseGraph:
         tangent_order: str = "translation-rotation",
         source: Any = None,
     ) -> PoseGraph:
-        """A validated pose graph, float64 also where 64-bit types are not enabled.
+        """Makes a validated pose graph, float64 also where 64-bit types are not enabled.
 
         Args:
             poses: `jaxlie.SE2` or `jaxlie.SE3` `[n]`, or homogeneous matrices `[n, 3, 3]` or
@@ -169,13 +180,13 @@ class PoseGraph:
         name: str,
         source: np.ndarray,
     ) -> PoseGraph:
-        """From NumPy arrays and NumPy-backed transforms that were validated before."""
+        """Makes a graph of NumPy arrays and NumPy-backed transforms validated before."""
         return cls(
-            poses=lie.as_device(poses),
-            tail=device_array(tail, np.int32),
-            head=device_array(head, np.int32),
-            measurement=lie.as_device(measurement),
-            information=device_array(information),
+            poses=lie.as_numpy(poses),
+            tail=np.asarray(tail, np.int32),
+            head=np.asarray(head, np.int32),
+            measurement=lie.as_numpy(measurement),
+            information=np.asarray(information, np.float64),
             ids=ids,
             name=name,
             source=source,
@@ -191,7 +202,7 @@ class PoseGraph:
         ids: Any = None,
         name: str = "",
     ) -> PoseGraph:
-        """An odometry chain: consecutive poses joined by their own relative pose.
+        """Makes an odometry chain: consecutive poses joined by their own relative pose.
 
         Args:
             poses: `jaxlie.SE2` or `jaxlie.SE3` `[n]`, or homogeneous matrices.

@@ -85,7 +85,7 @@ def optimize(
         return Solution(pose_graph, 0.0, 0.0, 0, True)
     problem = PoseProblem(*arrays, first)
     solved = problem.solve(start, solver=solver, engine=engine, max_steps=max_steps)
-    graph = pose_graph.with_poses(lie.as_device(solved.poses))
+    graph = pose_graph.with_poses(solved.poses)
     return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
 
 

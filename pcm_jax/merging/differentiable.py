@@ -344,7 +344,7 @@ def _oriented(graph: MultiRobotGraph) -> tuple[Any, Float[Array, "m s"], Array, 
     pose_a = lie.take(poses, starts[closures.robot_a] + closures.pose_a)
     pose_b = lie.take(poses, starts[closures.robot_b] + closures.pose_b)
     placed = lie.compose(lie.compose(pose_a, closures.measurement), lie.inverse(pose_b))
-    flipped: Bool[Array, " m"] = closures.robot_a > closures.robot_b
+    flipped: Any = closures.robot_a > closures.robot_b
     values = jnp.where(
         flipped[:, None], lie.parameters(lie.inverse(placed)), lie.parameters(placed)
     )

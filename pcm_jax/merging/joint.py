@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array
 from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution, optimize
@@ -91,7 +90,7 @@ def solve_joint(
     """
     own = np.ones(roomy.num_edges - len(used), bool)
     kept = np.concatenate([own, used])
-    joint = roomy if used.all() else _with_edges(roomy, np.flatnonzero(kept))
+    joint = roomy if used.all() else roomy.with_edges(kept)
     options = {"solver": method, "engine": engine, "max_steps": PATIENCE}
     attempts = [_solve_in(roomy, kept, joint, options)]
     if not attempts[-1].converged:
@@ -118,7 +117,7 @@ def _solve_in(
         return optimize(joint, initial="given", **options)
     problem = PoseProblem(*host_arrays(roomy), np.arange(roomy.num_poses) == 0)
     solved = problem.solve(roomy.poses, scale=kept.astype(float), **options)
-    graph = joint.with_poses(lie.as_device(solved.poses))
+    graph = joint.with_poses(solved.poses)
     return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
 
 
@@ -139,7 +138,7 @@ def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solut
     iterations = 0
     while True:
         edges = np.concatenate([own, np.sort(order[:used])])
-        kept = _with_edges(joint, edges).with_poses(solution.graph.poses)
+        kept = joint.with_edges(edges).with_poses(solution.graph.poses)
         steps = AT_LAST if used == closures else ON_THE_WAY
         solution = optimize(
             kept, initial="given", solver="levenberg-marquardt", engine=engine, max_steps=steps
@@ -167,15 +166,3 @@ def _closure_order(joint: PoseGraph, closures: int) -> tuple[np.ndarray, int]:
         (others if a == b else tree).append(edge)
         robot[robot == b] = a
     return np.array(tree + others, np.int64), len(tree)
-
-
-def _with_edges(joint: PoseGraph, edges: np.ndarray) -> PoseGraph:
-    """The graph with some of its edges."""
-    return dataclasses.replace(
-        joint,
-        tail=device_array(np.asarray(joint.tail)[edges], np.int32),
-        head=device_array(np.asarray(joint.head)[edges], np.int32),
-        measurement=lie.as_device(lie.take(lie.as_numpy(joint.measurement), edges)),
-        information=device_array(np.asarray(joint.information)[edges]),
-        source=joint.source[edges],
-    )

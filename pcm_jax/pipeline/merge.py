@@ -241,10 +241,8 @@ def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[MultiRobotGraph, 
         lie.compose(lie.take(new, 0), lie.inverse(lie.take(lie.as_numpy(own.poses), 0)))
         for new, own in zip(poses, graph.maps, strict=True)
     ]
-    placed = [
-        own.with_poses(lie.as_device(new)) for own, new in zip(graph.maps, poses, strict=True)
-    ]
-    return MultiRobotGraph(tuple(placed), graph.closures), lie.as_device(lie.stack(anchors))
+    placed = [own.with_poses(new) for own, new in zip(graph.maps, poses, strict=True)]
+    return MultiRobotGraph(tuple(placed), graph.closures), lie.stack(anchors)
 
 
 def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.ndarray:

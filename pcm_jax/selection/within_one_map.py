@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
     chi2_gate,
@@ -125,7 +124,7 @@ def select_within(
     kept[closures] = accepted
     chosen = time.perf_counter()
     return WithinSelection(
-        graph=_with_edges(pose_graph, kept),
+        graph=pose_graph.with_edges(kept),
         kept=kept,
         odometry=odometry,
         closures=closures,
@@ -179,17 +178,3 @@ def _with_time_limit(
     if "time_limit" in inspect.signature(ALL_METHODS[method]).parameters:
         return {"time_limit": TIME_LIMIT, **given}
     return given
-
-
-def _with_edges(pose_graph: PoseGraph, kept: Bool[np.ndarray, " e"]) -> PoseGraph:
-    """The same poses with some of the edges."""
-    return PoseGraph.from_checked(
-        poses=lie.as_numpy(pose_graph.poses),
-        tail=np.asarray(pose_graph.tail)[kept],
-        head=np.asarray(pose_graph.head)[kept],
-        measurement=lie.take(lie.as_numpy(pose_graph.measurement), kept),
-        information=np.asarray(pose_graph.information)[kept],
-        ids=pose_graph.ids,
-        name=pose_graph.name,
-        source=pose_graph.source[kept],
-    )

@@ -106,7 +106,7 @@ def test_pytree_forgets_the_source(closures):
     assert len(again) == 10
     assert again.source.tolist() == [""] * 10
     _, treedef = jax.tree.flatten(closures)
-    assert isinstance(jax.tree.unflatten(treedef, [object()] * 6), LoopClosures)
+    assert isinstance(jax.tree.unflatten(treedef, [object()] * 7), LoopClosures)
 
 
 def pair(make_graph, group):
@@ -204,3 +204,31 @@ def test_from_ids_needs_no_sorted_ids():
     )
     assert closures.pose_a.tolist() == [1, 2, 0]
     assert closures.pose_b.tolist() == [0, 0, 2]
+
+
+def test_weights_follow_their_closures(group):
+    given = {"robot_a": [0, 1], "pose_a": [1, 2], "robot_b": [1, 0], "pose_b": [3, 4]}
+    both = LoopClosures.from_arrays(**given, **measured(group), weight=[0.25, 2.0])
+    assert both[[1]].weight.tolist() == [2.0]
+    assert both.between(0, 1)[0].weight.tolist() == [0.25, 2.0]
+    assert LoopClosures.from_arrays(**given, **measured(group)).weight.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
+def test_a_weight_must_be_a_number_of_at_least_zero(group, bad):
+    given = {"robot_a": [0, 1], "pose_a": [1, 2], "robot_b": [1, 0], "pose_b": [3, 4]}
+    with pytest.raises(InputError, match=r"weight\[1\]: "):
+        LoopClosures.from_arrays(**given, **measured(group), weight=[1.0, bad])
+
+
+def test_concatenating_puts_closures_end_to_end(closures):
+    again = LoopClosures.concatenate([closures[:4], closures[4:]])
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(closures), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert again.source.tolist() == closures.source.tolist()
+    with pytest.raises(InputError, match="parts: groups none given"):
+        LoopClosures.concatenate([])
+
+
+def test_arrays_stay_on_the_host(closures):
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(closures))

@@ -28,8 +28,8 @@ def two_poses(**changes):
 def test_leaves_are_float64_also_without_x64(make_graph, group):
     with jax.enable_x64(False):
         graph = make_graph(group)
-        assert graph.poses.parameters().dtype == np.float64
-        assert graph.measurement.parameters().dtype == np.float64
+        assert lie.parameters(graph.poses).dtype == np.float64
+        assert lie.parameters(graph.measurement).dtype == np.float64
         assert graph.information.dtype == np.float64
         assert graph.tail.dtype == graph.head.dtype == np.int32
 

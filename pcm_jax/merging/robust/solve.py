@@ -127,7 +127,7 @@ def solve_robustly(
         scale[used], squared[used], first = turn.scale, turn.squared, 0
         for robot in members:
             rows = slice(first, first + graph.maps[robot].num_poses)
-            maps[robot] = maps[robot].with_poses(lie.as_device(lie.take(turn.poses, rows)))
+            maps[robot] = maps[robot].with_poses(lie.take(turn.poses, rows))
             first = rows.stop
     turns = [turn for _, _, turn in parts]
     return RobustSolution(
