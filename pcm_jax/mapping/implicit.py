@@ -58,7 +58,7 @@ class Pattern(NamedTuple):
 
 
 class Data(eqx.Module):
-    """What the optimum depends on, padded; padded edges have weight zero.
+    """The data that the optimum depends on, padded; padded edges have weight zero.
 
     Attributes:
         measurement: Lie `[e]`.
@@ -178,8 +178,9 @@ def _about(pattern: Pattern, poses: Any, data: Data) -> _Edges:
     back = jnp.swapaxes(jacobian, 0, 1)
     information = jnp.moveaxis(data.information, 0, -1) * data.weight
     pull = multiply(information, residual[:, None])
-    bend = functools.partial(_bend, lie.module_of(lie.group_of(poses)))
-    curved = multiply(back, information) + apart(pattern.tail[0] >= 0, bend, residual, pull[:, 0])
+    always, group = pattern.tail[0] >= 0, lie.module_of(lie.group_of(poses))
+    bent = apart(always, _bend, residual, pull[:, 0], static=(group,))
+    curved = multiply(back, information) + bent
     force = multiply(back, pull)[:, 0]
     return _Edges(residual, jacobian, transport, force, multiply(curved, jacobian))
 
@@ -213,7 +214,7 @@ def _gradient(pattern: Pattern, edges: _Edges) -> Float[Array, "n d"]:
 
 
 def _both_ends(edges: _Edges, force: Float[Array, "d e"]) -> tuple[Array, Array]:
-    """What a gradient by δ is by δ_i and by δ_j."""
+    """A gradient by δ as gradients by δ_i and by δ_j."""
     return -multiply(jnp.swapaxes(edges.transport, 0, 1), force[:, None])[:, 0], force
 
 
