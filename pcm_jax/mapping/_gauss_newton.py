@@ -218,7 +218,7 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
     def terminate(
         self, fn: Any, y: Any, args: Problem, options: Any, state: _State, tags: Any
     ) -> tuple[Array, optx.RESULTS]:
-        """Whether the last step settled, or what went wrong."""
+        """True once a step has settled; and what went wrong, if anything did."""
         del fn, y, args, options, tags
         return state.terminate, state.result
 

@@ -1,4 +1,4 @@
-"""The host's side of a solve: padding, the pattern's system, one compiled call, the result.
+"""The host's side of a solve: padding, one compiled call, the result.
 
 `PoseProblem` takes any graph of poses, one map or several merged ones; `optimize` and the merge are
 thin callers. Robust methods solve one problem again and again, with other weights of its edges.
@@ -32,12 +32,12 @@ FINE_ABOVE = 4096
 
 
 def padded_size(poses: int, edges: int) -> int:
-    """How many poses, and how many edges, the kernels see: one size for both."""
+    """The number of poses, and of edges, that the kernels see: one size for both."""
     return bucket(max(poses, edges), smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
 def padded_poses(poses: int, edges: int) -> int:
-    """How many poses the solver sees: as many as edges, or in large graphs fewer.
+    """The number of poses that the solver sees: as many as edges, or in large graphs fewer.
 
     CHOLMOD factorises the rows of padded poses too, and they would be half of City10000's.
     """

@@ -168,7 +168,7 @@ def _blanked(edges: Any, counted: Bool[Array, " e"]) -> Any:
 
 
 class _Order(NamedTuple):
-    """What counts comes first, in its order, so that padding in between changes nothing.
+    """An order with all that counts in front, so that padding in between changes nothing.
 
     Attributes:
         counted: `[e]`, the edges that count, in the order given.

@@ -7,7 +7,7 @@ cholesky        the factorisation and its solves
 inverse         parts of the inverse: a block, its diagonal, some columns
 
 registry        the one owner of what is kept from call to call, and of BLAS's threads:
-pattern_cache   what depends on a pattern alone, made once and found by content
+_pattern_cache  what depends on a pattern alone, made once and found by content
 _memory         memory that one factorisation leaves to the next
 _blas           the process-wide number of BLAS threads
 """

@@ -25,7 +25,7 @@ def _libraries() -> tuple[Any, ...]:
 
 
 def _is_per_thread(library: Any) -> bool:
-    """Whether the setting is each thread's own: OpenBLAS on OpenMP."""
+    """True where the setting is each thread's own: OpenBLAS on OpenMP."""
     return getattr(library, "threading_layer", None) == "openmp"
 
 

@@ -1,4 +1,4 @@
-"""Where each block of `H` and of the update matrices is added: the plan of the numeric part.
+"""The plan of the numeric part: where each block of `H` and of the update matrices is added.
 
 Fronts of equal height and equal padded shape form a group, and the numeric part treats a group as
 one batched array operation; the few large fronts form groups of their own. All numbers to be
@@ -26,7 +26,7 @@ from pcm_jax.sparse._symbolic import FrontTree, front_tree, ragged_arange
 PADDED_PIVOTS = np.array([1, 2, 3, 4, 6, 8, 12, 16])
 PADDED_RESTS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24])
 SCALARS_AT_ONCE = 1 << 18
-"""Of the fronts of a group together, unless one is larger: what a processor's cache holds."""
+"""All fronts of a group, unless one is larger: as much as a processor's cache holds."""
 
 
 class FrontGroup(NamedTuple):
@@ -162,7 +162,7 @@ def _labelled(*keys: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _places(size: np.ndarray, needed_by: np.ndarray) -> np.ndarray:
-    """Where groups keep their update matrices: each in the first gap that is large enough.
+    """Places for the update matrices of groups: each in the first gap that is large enough.
 
     Args:
         size: `[g]` of each group.

@@ -31,7 +31,7 @@ from pcm_jax.sparse.cholesky import CholeskyFactor
 LARGE_COLUMNS = 1536
 """Columns (scalars) from which BLAS threads gain even where other work holds some cores."""
 POSES_AT_ONCE = 512
-"""Of `inverse_diagonal`, which bounds its memory."""
+"""A bound on the memory of `inverse_diagonal`."""
 
 
 class _Passed(NamedTuple):

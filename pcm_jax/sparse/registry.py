@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pcm_jax.sparse._blas import BlasThreads
 from pcm_jax.sparse._memory import SpareMemory
-from pcm_jax.sparse.pattern_cache import PatternCache
+from pcm_jax.sparse._pattern_cache import PatternCache
 
 if TYPE_CHECKING:
     from pcm_jax.sparse._symbolic import FrontTree

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pcm_jax.sparse.pattern_cache import PatternCache, array_bytes
+from pcm_jax.sparse._pattern_cache import PatternCache, array_bytes
 
 
 def keys(*starts: int) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""What is kept between calls: bounded, safe in threads, and BLAS's threads left to the user."""
+"""The owner of what is kept: bounded, safe in threads, and BLAS's threads left to the user."""
 
 from __future__ import annotations
 
