@@ -9,13 +9,16 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pcm_jax"
 ORDER = (
-    *("errors", "arrays", "lie", "graph", "files", "sparse", "mapping", "consistency", "clique"),
+    *("errors", "arrays", "store", "tables"),
+    *("lie", "graph", "files", "sparse", "mapping", "consistency", "clique"),
     *("selection", "integrity", "merging", "online", "pipeline", "simulation", "evaluation"),
     *("plots", "report", "experiments", "cli"),
 )
 ONLY_IMPORT = {
     "errors": set(),
     "arrays": {"errors"},
+    "store": set(),
+    "tables": {"errors"},
     "clique": {"errors"},
     "sparse": {"errors", "arrays"},
 }

@@ -171,7 +171,7 @@ def plan(name: str, settings: Settings) -> dict[str, Measured]:
 
 
 def stop_of_gtsam(name: str, settings: Settings) -> dict[str, Measured]:
-    """Where Levenberg-Marquardt of GTSAM stops from the file's own poses."""
+    """The cost at which Levenberg-Marquardt of GTSAM stops from the file's own poses."""
     factors, values = gtsam_peer.factors_and_values(maps.read_map(name, settings), "solve")
     peer = gtsam_peer.levenberg_marquardt(factors, values)
     cost = factors.error(peer.optimize())

@@ -56,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     _demo(commands)
     _merge(commands)
     _inspect(commands)
+    _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
 
@@ -81,16 +82,21 @@ def _demo(commands: Any) -> None:
 def _merge(commands: Any) -> None:
     merge = _command(commands, "merge", "Merge the robots' maps in pose-graph files.")
     _files(merge)
-    merge.add_argument(
-        "--closures", type=Path, metavar="CSV", help="further candidate closures, one a line"
-    )
-    merge.add_argument(
+    cut = merge.add_mutually_exclusive_group()
+    cut.add_argument(
         "--split",
-        type=int,
         nargs="+",
         metavar="POSE",
         help="cut one trajectory into robots a, b, ... before these poses (0, 1, ... in the order "
-        "of ids); its loop closures across the cuts become the candidates",
+        "of ids); its loop closures across the cuts become the candidates; or 'components': make "
+        "a robot of each session that no odometry links to another",
+    )
+    cut.add_argument(
+        "--split-id",
+        type=int,
+        nargs="+",
+        metavar="ID",
+        help="the same before the poses with these ids",
     )
     merge.add_argument(
         "--method",
@@ -101,16 +107,14 @@ def _merge(commands: Any) -> None:
     merge.add_argument(
         "--confidence",
         type=float,
-        default=0.99,
         metavar="P",
-        help="probability that two right closures pass the gate (default: %(default)s)",
+        help="probability that two right closures pass the gate (default: 0.99)",
     )
     merge.add_argument(
         "--minimum-inliers",
         type=int,
-        default=2,
         metavar="N",
-        help="two robots that accept fewer closures accept none (default: %(default)s)",
+        help="two robots that accept fewer closures accept none (default: 2)",
     )
     merge.add_argument(
         "--time-limit",
@@ -137,8 +141,11 @@ def _merge(commands: Any) -> None:
 def _inspect(commands: Any) -> None:
     inspect = _command(commands, "inspect", "Say what pose-graph files hold and what is odd.")
     _files(inspect)
-    inspect.add_argument("--closures", type=Path, metavar="CSV", help="candidate closures as well")
-    _information(inspect)
+    inspect.add_argument(
+        "--split", choices=("components",), help="make a robot of each session in a file"
+    )
+    inspect.add_argument("--json", action="store_true", help="print JSON instead of text")
+    _reading(inspect)
 
 
 def _simulate(commands: Any) -> None:
@@ -179,21 +186,45 @@ def _files(command: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="FILE",
-        help="g2o, TORO or iSAM text, plain, .gz or .xz",
+        help="a pose graph or trajectory, plain, .gz or .xz (see: pcm-jax formats)",
     )
-
-
-def _information(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--information",
-        choices=("as-written", "sqrt"),
-        default="as-written",
-        help="whether the files hold the information or its square root (default: %(default)s)",
+        "--closures",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="further candidate closures: CSV, or any graph file, whose edges they are",
     )
 
 
 def _reading(command: argparse.ArgumentParser) -> None:
-    _information(command)
+    command.add_argument(
+        "--information",
+        choices=("as-written", "sqrt", "covariance"),
+        default="as-written",
+        help="whether the files hold the information, its square root or its inverse (default: "
+        "%(default)s)",
+    )
+    command.add_argument(
+        "--ids",
+        choices=("auto", "per-file", "shared", "symbols"),
+        default="auto",
+        help="whose poses the files' ids are (default: %(default)s)",
+    )
+    command.add_argument(
+        "--default-sigmas",
+        "--sigmas",
+        type=float,
+        nargs=2,
+        metavar=("M", "RAD"),
+        help="standard deviations of edges without information, and of a trajectory's steps",
+    )
     command.add_argument(
         "--repair", choices=("clip",), help="clip information that is not positive definite"
+    )
+    command.add_argument(
+        "--skip-bad", action="store_true", help="leave out candidates that cannot be read"
+    )
+    command.add_argument(
+        "--ignore-priors", action="store_true", help="leave out poses measured by themselves"
     )

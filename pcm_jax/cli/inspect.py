@@ -9,38 +9,65 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.cli._inputs import Given, read
+from pcm_jax.cli._outputs import json_text
 from pcm_jax.cli._progress import Progress
-from pcm_jax.cli._table import table
 from pcm_jax.cli.merge import TOO_GOOD
-from pcm_jax.files import read_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
 from pcm_jax.merging.groups import robot_groups
+from pcm_jax.tables import columns_of_text
 
 SINGULAR = 1e8  # ratio of an information matrix's eigenvalues, its units balanced
 HEAD = ("robot", "poses", "ids", "edges", "odometry", "loops", "length (m)", "extent (m)")
 
 
 def run(options: Any) -> None:
-    """Prints robots, closures, connectivity, and the odd things found."""
+    """Prints how files were read, robots, closures, connectivity, and the odd things found."""
     with Progress("reading") as progress, warnings.catch_warnings(record=True) as corrections:
-        graph = read_graph(
-            *options.files,
-            closures=options.closures,
-            information=options.information,
-            repair="clip",  # so that it can be said how many need it
-        )
+        given = read(options, repair="clip")  # so that it can be said how many need it
         progress("looking for what is odd")
-        odd = [str(correction.message) for correction in corrections] + list(oddities(graph))
-    parts = [f"{graph.group.__name__} poses", robots(graph), closures(graph)]
+        graph, account = given.graph, given.account
+        odd = [str(correction.message) for correction in corrections]
+        odd += [*account.warnings(), *(line for line, severe in account.doubts if not severe)]
+        odd += oddities(graph)
+    if options.json:
+        print(json_text(_as_dict(given, odd)), end="")
+        return
+    told = [line for file in account.files for line in file.lines()]
+    parts = ["\n".join(told), f"{graph.group.__name__} poses", robots(graph), closures(graph)]
+    if account.copies:
+        parts.append("\n".join(["stated again, counted once:", *map(str, account.copies)]))
     parts.append("odd:" if odd else "nothing odd found")
     print("\n\n".join(parts))
     for finding in odd:
         print(f"- {finding}")
 
 
+def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
+    """What is printed, as JSON has it."""
+    graph = given.graph
+    return {
+        **given.as_dict(),
+        "group": graph.group.__name__,
+        "robots": [dict(zip(HEAD, _robot(one), strict=True)) for one in graph.maps],
+        "closures": [
+            {"a": graph.names[a], "b": graph.names[b], "measured": len(indices)}
+            for a, b in graph.closures.pairs()
+            for indices in (graph.closures.between(a, b)[1],)
+        ],
+        "groups": [[graph.names[robot] for robot in group] for group in _groups(graph)],
+        "odd": odd,
+    }
+
+
+def _groups(graph: MultiRobotGraph) -> list[Any]:
+    between = graph.closures
+    return list(robot_groups(len(graph.maps), between, np.ones(len(between), bool)))
+
+
 def robots(graph: MultiRobotGraph) -> str:
     """A row for each robot."""
-    return table(HEAD, [_robot(one) for one in graph.maps])
+    return columns_of_text(HEAD, [_robot(one) for one in graph.maps])
 
 
 def _robot(one: PoseGraph) -> list[object]:
@@ -62,7 +89,7 @@ def _robot(one: PoseGraph) -> list[object]:
 
 
 def closures(graph: MultiRobotGraph) -> str:
-    """How many closures join which robots, and whether they join all of them."""
+    """Counts the closures between robots, and says whether they join all of them."""
     if len(graph.maps) < 2:
         return "no closures: there is one robot"
     between = graph.closures
@@ -72,13 +99,12 @@ def closures(graph: MultiRobotGraph) -> str:
         [f"{graph.names[a]} - {graph.names[b]}", len(between.between(a, b)[1])]
         for a, b in between.pairs()
     ]
-    groups = robot_groups(len(graph.maps), between, np.ones(len(between), bool))
-    joined = " | ".join(" ".join(graph.names[robot] for robot in group) for group in groups)
-    return f"{table(['robots', 'closures'], rows)}\nconnected by closures: {joined}"
+    joined = " | ".join(" ".join(graph.names[robot] for robot in group) for group in _groups(graph))
+    return f"{columns_of_text(['robots', 'closures'], rows)}\nconnected by closures: {joined}"
 
 
 def oddities(graph: MultiRobotGraph) -> Iterator[str]:
-    """What a user should know before merging, one line each."""
+    """Finds what a user should know before merging, one line each."""
     for one in graph.maps:
         for odd in (*_odd_ids(one), *_odd_edges(one), *_odd_scale(one)):
             yield f"robot {one.name}: {odd}"
@@ -152,11 +178,11 @@ def _odd_closures(between: LoopClosures) -> Iterator[str]:
 
 
 def _is_odometry(one: PoseGraph) -> np.ndarray:
-    """Which edges `[e]` are between consecutive poses."""
+    """Marks the edges `[e]` between consecutive poses."""
     return np.abs(np.asarray(one.tail) - np.asarray(one.head)) == 1
 
 
 def _is_identity(measurement: Any) -> np.ndarray:
-    """Which transforms `[e]` are the identity, to the last bit."""
+    """Marks the transforms `[e]` that are the identity, to the last bit."""
     matrices = np.asarray(lie.as_matrix(lie.as_numpy(measurement)))
     return (matrices == np.eye(matrices.shape[-1])).all(axis=(1, 2))

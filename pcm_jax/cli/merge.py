@@ -7,7 +7,7 @@ from typing import Any
 
 from pcm_jax.cli import _outputs as outputs
 from pcm_jax.cli._progress import Progress
-from pcm_jax.cli._table import table
+from pcm_jax.tables import columns_of_text
 
 TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
 
@@ -25,7 +25,7 @@ def run(options: Any) -> None:
 
 
 def _check_outputs(options: Any) -> None:
-    inputs = [*options.files, *([options.closures] if options.closures else [])]
+    inputs = [*options.files, *(options.closures or [])]
     paths = [path for path in (options.output, options.report, options.plot) if path]
     outputs.check_outputs(paths, inputs)
     if options.plot:
@@ -37,7 +37,8 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     from pcm_jax.pipeline import merge
 
     start = time.perf_counter()
-    graph = graph_to_merge(options)
+    given = graph_to_merge(options)
+    graph = given.graph
     seconds = {"read": time.perf_counter() - start}
     cleaned = {}
     if options.clean_maps:
@@ -53,22 +54,23 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
         time_limit=options.time_limit,
         progress=progress,
     )
-    report = result.report()
-    return result, {**report, **cleaned, "seconds": {**seconds, **report["seconds"]}}
+    report = {**result.report(), **cleaned, "input": given.as_dict()}
+    return result, {**report, "seconds": {**seconds, **report["seconds"]}}
 
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
     """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
     from pcm_jax.selection import clean_maps
 
-    limits = {"confidence": options.confidence, "time_limit": options.time_limit}
+    given = {"confidence": options.confidence, "time_limit": options.time_limit}
+    limits = {name: value for name, value in given.items() if value is not None}
     clean, selections = clean_maps(graph, **limits)
     return clean, list(map(_cleaned_row, graph.maps, selections))
 
 
 def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
-    """What was decided of one map; one without a loop has no selection."""
-    rejected = [] if selection is None else (~selection.accepted).nonzero()[0].tolist()
+    """Says what was decided of one map; one without a loop has no selection."""
+    rejected = [] if selection is None else (~selection.kept).nonzero()[0].tolist()
     closures = 0 if selection is None else len(selection.closures)
     return {
         "robot": pose_graph.name,
@@ -106,6 +108,8 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
 def summary(report: dict[str, Any]) -> str:
     """A report as the text that `pcm-jax merge` prints."""
     parts = [_robots(report), _pairs(report["robot_pairs"]), _fit(report["solution"])]
+    if report.get("input", {}).get("cuts"):
+        parts.insert(0, "\n".join(report["input"]["cuts"]))
     if "cleaned" in report:
         parts.insert(0, _maps(report["cleaned"]))
     return "\n\n".join(parts)
@@ -113,7 +117,7 @@ def summary(report: dict[str, Any]) -> str:
 
 def _maps(cleaned: list[dict[str, Any]]) -> str:
     rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
-    return table(["inside robot", "measured", "accepted", "largest set"], rows)
+    return columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
 
 
 def _robots(report: dict[str, Any]) -> str:
@@ -122,7 +126,7 @@ def _robots(report: dict[str, Any]) -> str:
         [robot["name"], robot["poses"], robot["edges"], group_of[robot["name"]], _pose(anchor)]
         for robot, anchor in zip(report["robots"], report["anchors"], strict=True)
     ]
-    return table(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
+    return columns_of_text(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
 
 
 def _pose(anchor: dict[str, float] | None) -> str:
@@ -133,7 +137,7 @@ def _pose(anchor: dict[str, float] | None) -> str:
 
 def _pairs(pairs: list[dict[str, Any]]) -> str:
     rows = [[f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p)] for p in pairs]
-    return table(["robots", "measured", "accepted", "largest set"], rows)
+    return columns_of_text(["robots", "measured", "accepted", "largest set"], rows)
 
 
 def _optimal(pair: dict[str, Any]) -> str:

@@ -11,7 +11,8 @@ perturbation δ = (translation, rotation) of the measurement z, so Ω = Jᵀ Ω_
   rotations about the end frame's axes, as in GTSAM; they are that at small roll and pitch.
 
 iSAM defines its numbers as R in Ω = Rᵀ R, upper triangular, row by row. Many files do not mean
-it; which is meant is the reader's decision ("as-written" or "sqrt").
+it; which is meant is the reader's decision ("as-written", "sqrt"; "covariance" for files that hold
+the inverse).
 """
 
 from __future__ import annotations
@@ -22,7 +23,12 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax import lie
-from pcm_jax.graph.validation import Fault, positive_definite, unit_rotations
+from pcm_jax.graph.validation import (
+    Fault,
+    check_information,
+    positive_definite,
+    unit_rotations,
+)
 
 TORO_ORDER = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
 
@@ -38,14 +44,15 @@ def parameters(
         fault: names a culprit.
 
     Raises:
-        InputError: through `fault`, for a quaternion of norm zero.
+        InputError: through `fault`, for a quaternion whose norm is zero or more than 1 % from one.
     """
     if coordinates == "angle":
         x, y, theta = values.T
         return np.stack([np.cos(theta), np.sin(theta), x, y], axis=1)
     if coordinates == "euler":
         return np.concatenate([_quaternion(values[:, 3:]), values[:, :3]], axis=1)
-    return unit_rotations(values[:, [6, 3, 4, 5, 0, 1, 2]], 4, fault)
+    order = "x y z qx qy qz qw"
+    return unit_rotations(values[:, [6, 3, 4, 5, 0, 1, 2]], 4, fault, columns=order)
 
 
 def _quaternion(angles: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:
@@ -111,18 +118,30 @@ def looks_like_toro(triangle: Float[np.ndarray, "e 6"], *, expected: bool) -> bo
 
 
 def information(
-    triangle: Float[np.ndarray, "e t"], *, square_root: bool
+    triangle: Float[np.ndarray, "e t"], *, how: str, fault: Fault
 ) -> Float[np.ndarray, "e d d"]:
     """Information `[e, d, d]` over the file's coordinates, from its numbers.
 
     Args:
         triangle: `[e, d (d + 1) / 2]`, row by row.
-        square_root: whether the numbers are R in Ω = Rᵀ R, rather than Ω.
+        how: the numbers are Ω ("as-written"), R in Ω = Rᵀ R ("sqrt"), or Ω⁻¹ ("covariance").
+        fault: names a culprit.
+
+    Raises:
+        InputError: through `fault`, for a covariance that is not positive definite.
     """
-    if not square_root:
+    if how == "covariance":
+        return inverted(check_information(symmetric(triangle), fault, "covariance"))
+    if how != "sqrt":
         return symmetric(triangle)
     root = triangular(triangle)
     return np.swapaxes(root, 1, 2) @ root
+
+
+def inverted(covariance: Float[np.ndarray, "e d d"]) -> Float[np.ndarray, "e d d"]:
+    """The inverses, exactly symmetric."""
+    matrices = np.linalg.inv(covariance)
+    return 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
 
 
 def from_quaternion_vector(matrices: Float[np.ndarray, "e 6 6"]) -> Float[np.ndarray, "e 6 6"]:

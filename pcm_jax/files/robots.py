@@ -12,101 +12,69 @@ from typing import Any
 
 import jaxlie
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 
 from pcm_jax.errors import FileFormatError, InputError
-from pcm_jax.files.coordinates import upper_triangle
-from pcm_jax.files.header import ORDER_LINE, Scope
-from pcm_jax.files.pose_file import Lines, PoseFile
-from pcm_jax.files.text import sources
+from pcm_jax.files._table import Placed, Table
+from pcm_jax.files.pose_file import TRUE, UNKNOWN, PoseFile
+from pcm_jax.files.scopes import ORDER_LINE, Scope
 from pcm_jax.graph import symbols
+from pcm_jax.graph.copies import EQUAL, first_copies
 from pcm_jax.graph.loop_closures import LoopClosures, find
 from pcm_jax.graph.pose_graph import PoseGraph
+from pcm_jax.graph.priors import Priors
 from pcm_jax.graph.spanning_tree import check_connected, spanning_tree_poses
-from pcm_jax.graph.validation import Fault, raise_first
-
-EQUAL = 1e-5  # relative: what copies of a number may differ by from file to file
+from pcm_jax.graph.validation import raise_first
 
 
 @dataclasses.dataclass(frozen=True)
-class Table:
-    """Vertices or edges of all files, in the order of files and lines.
+class Assembled:
+    """The robots' maps and what joins them.
 
     Attributes:
-        robot: int64 `[k, 1]` or `[k, 2]`, −1 for a robot that no file defines.
-        ids: int64, likewise: the ids of poses, as their robot's map will have them.
-        transforms: jaxlie's parameters `[k, 4]` or `[k, 7]`.
-        information: `[k, d, d]`.
-        file: int64 `[k]`, index of the file.
-        line: int64 `[k]`.
-        paths: the files.
+        maps: in the order of the files that define them.
+        closures: edges between robots, in the order of files and lines.
+        truth: each robot's true poses, None where no file has them.
+        notes: what was left out, one line each.
     """
 
-    robot: Int[np.ndarray, "k ends"]
-    ids: Int[np.ndarray, "k ends"]
-    transforms: Float[np.ndarray, "k p"]
-    information: Float[np.ndarray, "k d d"]
-    file: Int[np.ndarray, " k"]
-    line: Int[np.ndarray, " k"]
-    paths: tuple[str, ...]
-
-    def __getitem__(self, rows: np.ndarray) -> Table:
-        picked = {
-            field.name: getattr(self, field.name)[rows]
-            for field in dataclasses.fields(self)
-            if field.name != "paths"
-        }
-        return Table(**picked, paths=self.paths)
-
-    def __len__(self) -> int:
-        return len(self.line)
-
-    @property
-    def first_path(self) -> str:
-        """The file of the first row."""
-        return self.paths[self.file[0]]
-
-    @property
-    def fault(self) -> Fault:
-        """Names a row by its file and line."""
-        return lambda row, problem: FileFormatError(
-            self.paths[self.file[row]], int(self.line[row]), problem
-        )
-
-    @property
-    def source(self) -> np.ndarray:
-        """Object array `[k]` of strings "file:line"."""
-        names = np.empty(len(self), dtype=object)
-        for file in np.unique(self.file):
-            rows = self.file == file
-            names[rows] = sources(self.paths[file], self.line[rows])
-        return names
+    maps: tuple[PoseGraph, ...]
+    closures: LoopClosures
+    truth: tuple[Any, ...] | None
+    notes: tuple[str, ...]
 
 
-def assemble(
-    files: Sequence[PoseFile], scopes: Sequence[Scope]
-) -> tuple[tuple[PoseGraph, ...], LoopClosures]:
-    """The robots' maps and the closures between them.
+def assemble(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> Assembled:
+    """Puts files together: the robots' maps and the closures between them.
 
     Raises:
         FileFormatError: for an edge to a vertex or robot that does not exist, a vertex repeated
             with another pose, and a map that is not connected.
     """
     robots = _robots(files, scopes)
-    vertices = _table([file.vertices for file in files], files, scopes, list(robots))
-    edges = _table([file.edges for file in files], files, scopes, list(robots))
+    if not robots:
+        raise FileFormatError(files[0].path, None, "no map among the files, expected at least one")
+    placed = Placed(files, scopes, list(robots))
+    vertices, edges = placed.table("vertices"), placed.table("edges")
     _check_robots(vertices, edges)
-    edges = edges[first_copies(edges)]
+    edges = edges[_kept_copies(edges)]
+    robots, vertices, edges, notes = _without_landmarks(robots, vertices, edges)
     inside = edges.robot[:, 0] == edges.robot[:, 1]
     in_order = any(ORDER_LINE in file.comments for file in files)
-    maps = []
-    for robot, name in enumerate(robots.values()):
+    priors, truth = placed.table("priors"), placed.table("truth")
+    maps, true = [], []
+    for robot, name in robots.items():
         own = edges[inside & (edges.robot[:, 0] == robot)]
         named = edges.ids[edges.robot == robot]
         mine = vertices[vertices.robot[:, 0] == robot]
         ids = _pose_order(mine.ids[:, 0], in_order) if len(mine) else np.unique(named)
-        maps.append(_map(mine, own, ids, name))
-    return tuple(maps), _closures(edges[~inside], maps)
+        held = priors[priors.robot[:, 0] == robot]
+        maps.append(_map(mine, own, ids, name, placed.stamps(robot, ids), held))
+        true.append(_truth(truth[truth.robot[:, 0] == robot], ids, maps[-1].group))
+    place = np.full(max(robots) + 1, -1)
+    place[list(robots)] = np.arange(len(robots))
+    known = tuple(true) if any(one is not None for one in true) else None
+    return Assembled(tuple(maps), _closures(edges[~inside], maps, place), known, notes)
 
 
 def _robots(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> dict[str, str]:
@@ -116,6 +84,8 @@ def _robots(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> dict[str, str
     """
     robots: dict[str, str] = {}
     for file, scope in zip(files, scopes, strict=True):
+        if file.candidates:
+            continue
         vertex, _ = scope.locate(file.vertices.ids)
         edge, _ = scope.locate(file.edges.ids)
         defined = {*vertex[:, 0].tolist(), *edge[edge[:, 0] == edge[:, 1], 0].tolist()}
@@ -123,26 +93,6 @@ def _robots(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> dict[str, str
             if robot in defined:
                 robots.setdefault(label, scope.names[robot])
     return robots
-
-
-def _table(
-    parts: Sequence[Lines], files: Sequence[PoseFile], scopes: Sequence[Scope], robots: list[str]
-) -> Table:
-    """The files' vertices, or their edges, end to end."""
-    located = []
-    for part, scope in zip(parts, scopes, strict=True):
-        local, ids = scope.locate(part.ids)
-        known = [robots.index(label) if label in robots else -1 for label in scope.labels]
-        located.append((np.array([*known, -1], np.int64)[local], ids))
-    return Table(
-        robot=np.concatenate([robot for robot, _ in located]),
-        ids=np.concatenate([ids for _, ids in located]),
-        transforms=np.concatenate([part.transforms for part in parts]),
-        information=np.concatenate([part.information for part in parts]),
-        file=np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
-        line=np.concatenate([part.line for part in parts]),
-        paths=tuple(file.path for file in files),
-    )
 
 
 def _check_robots(vertices: Table, edges: Table) -> None:
@@ -166,64 +116,85 @@ def _check_robots(vertices: Table, edges: Table) -> None:
 
 def pose_text(pose: Any) -> str:
     """An id as messages show it: "b17" for a symbol key, else the number."""
-    key = np.array([pose], np.int64)
-    letter = int(symbols.letters_of(key)[0])
-    return f"{chr(letter)}{symbols.indices_of(key)[0]}" if letter else str(pose)
+    return symbols.key_text(int(pose))
 
 
-def first_copies(edges: Table) -> Bool[np.ndarray, " k"]:
-    """Which edges to keep, bool `[k]`, so that one repeated from file to file counts once.
+def _kept_copies(edges: Table) -> Bool[np.ndarray, " k"]:
+    """Which edges to keep, bool `[k]`, so that a map's edge repeated in other files counts once.
 
-    An edge of a file is a copy when an earlier file has one between the same poses with the same
-    numbers (to 1e-5) that no other edge of this file is the copy of. So an edge is kept as often as
-    it occurs in the file that has it most often.
+    An edge is kept as often as it occurs in the file that has it most often. (Closures are counted
+    once whatever their source, when all of them are known: see `pcm_jax.files.read`.)
     """
     keep = np.ones(len(edges), bool)
-    if len(np.unique(edges.file)) < 2:
+    inside = np.flatnonzero(edges.robot[:, 0] == edges.robot[:, 1])
+    if len(np.unique(edges.file[inside])) < 2:
         return keep
-    ends = np.concatenate([edges.robot, edges.ids], axis=1)
-    _, group = np.unique(ends, axis=0, return_inverse=True)
-    order = np.argsort(group, kind="stable")
-    bounds = np.flatnonzero(np.diff(group[order])) + 1
-    for rows in np.split(order, bounds):
-        if edges.file[rows[0]] != edges.file[rows[-1]]:
-            keep[rows] = _kept(edges, rows)
+    keep[inside] = _kept(edges[inside])
     return keep
 
 
-def _kept(edges: Table, rows: np.ndarray) -> list[bool]:
-    """`first_copies` of edges between one pair of poses, in the files' order."""
-    kept: list[int] = []
-    matched: list[set[int]] = []  # for each kept edge, the files that have a copy of it
-    flags = []
-    for row in rows.tolist():
-        file = int(edges.file[row])
-        same = (
-            slot
-            for slot, original in enumerate(kept)
-            if file not in matched[slot] and _same_numbers(edges, row, original)
-        )
-        slot = next(same, None)
-        flags.append(slot is None)
-        if slot is None:
-            kept.append(row)
-            matched.append({file})
-        else:
-            matched[slot].add(file)
-    return flags
+def _kept(edges: Table) -> Bool[np.ndarray, " k"]:
+    ends = np.stack([edges.robot[:, 0], edges.ids[:, 0], edges.robot[:, 1], edges.ids[:, 1]], 1)
+    group = jaxlie.SE2 if edges.transforms.shape[1] == 4 else jaxlie.SE3
+    first = first_copies(ends, group(edges.transforms), edges.information)  # type: ignore[arg-type]
+    order = np.lexsort((np.arange(len(edges)), edges.file, first))
+    start = np.ones(len(edges), bool)
+    start[1:] = (np.diff(first[order]) != 0) | (np.diff(edges.file[order]) != 0)
+    run = np.maximum.accumulate(np.where(start, np.arange(len(edges)), 0))
+    turn = np.empty(len(edges), np.int64)
+    turn[order] = np.arange(len(edges)) - run  # how often the file had it before
+    _, kept = np.unique(np.stack([first, turn], axis=1), axis=0, return_index=True)
+    keep = np.zeros(len(edges), bool)
+    keep[kept] = True
+    return keep
 
 
-def _same_numbers(table: Table, row: int, other: int, information: bool = True) -> bool:
-    """Whether two rows' numbers agree to 1e-5 of their size; q and −q are the same rotation."""
+def _same_numbers(table: Table, row: int, other: int) -> bool:
+    """Whether two rows' transforms agree to 1e-5 of their size; q and −q are the same rotation."""
     a, b = table.transforms[row], table.transforms[other]
     size = 2 if len(a) == 4 else 4
     turned = -1.0 if size == 4 and a[:size] @ b[:size] < 0.0 else 1.0
     pairs = [(a[:size], turned * b[:size]), (a[size:], b[size:])]
-    if information:
-        both = upper_triangle(table.information[[row, other]])
-        pairs.append((both[0], both[1]))
     return all(
         np.abs(x - y).max() <= EQUAL * max(np.abs(x).max(), np.abs(y).max()) for x, y in pairs
+    )
+
+
+def _without_landmarks(
+    robots: dict[str, str], vertices: Table, edges: Table
+) -> tuple[dict[int, str], Table, Table, tuple[str, ...]]:
+    """Leaves out robots none of whose poses an edge joins: landmarks that have an attitude.
+
+    Returns:
+        The other robots' names by number, their vertices, the edges between them, and notes.
+    """
+    inside = edges.robot[:, 0] == edges.robot[:, 1]
+    moving = set(edges.robot[inside, 0].tolist())
+    whose = vertices.robot[:, 0]
+    poses = {robot: np.unique(vertices.ids[whose == robot]) for robot in range(len(robots))}
+    still = [
+        robot
+        for robot, ids in poses.items()
+        if robot not in moving and len(ids) > 1 and moving and symbols.letters_of(ids).all()
+    ]
+    notes = []
+    for robot in still:
+        seen = int((edges.robot == robot).any(axis=1).sum())
+        first = ", ".join(map(pose_text, poses[robot][:3].tolist()))
+        more = ", …" if len(poses[robot]) > 3 else ""
+        notes.append(
+            f"no edge joins {first}{more} among themselves: landmarks, no trajectory;"
+            f" {len(poses[robot])} poses and {seen} edges to them are left out"
+        )
+    names = {k: name for k, name in enumerate(robots.values()) if k not in still}
+    if not still:
+        return names, vertices, edges, ()
+    vertices = vertices[~np.isin(whose, still)]
+    return (
+        names,
+        vertices,
+        edges[np.flatnonzero(~np.isin(edges.robot, still).any(axis=1))],
+        tuple(notes),
     )
 
 
@@ -233,7 +204,14 @@ def _pose_order(ids: np.ndarray, in_order: bool) -> np.ndarray:
     return unique[np.argsort(first)] if in_order else unique
 
 
-def _map(vertices: Table, edges: Table, ids: np.ndarray, name: str) -> PoseGraph:
+def _map(
+    vertices: Table,
+    edges: Table,
+    ids: np.ndarray,
+    name: str,
+    stamps: np.ndarray | None,
+    priors: Table,
+) -> PoseGraph:
     """One robot's map.
 
     Args:
@@ -241,6 +219,8 @@ def _map(vertices: Table, edges: Table, ids: np.ndarray, name: str) -> PoseGraph
         edges: those between the robot's own poses.
         ids: its poses' ids, in the order to be.
         name: the robot's.
+        stamps: seconds of its poses, if known.
+        priors: poses measured by themselves.
     """
     given = _unrepeated(vertices, ids) if len(vertices) else None
     tail, head = (positions(ids, edges, end) for end in (0, 1))
@@ -264,7 +244,24 @@ def _map(vertices: Table, edges: Table, ids: np.ndarray, name: str) -> PoseGraph
         ids=ids,
         name=name,
         source=edges.source,
+        stamps=stamps,
+        priors=_priors(priors, ids, group) if len(priors) else None,
     )
+
+
+def _priors(table: Table, ids: np.ndarray, group: Any) -> Priors:
+    return Priors(
+        positions(ids, table, 0).astype(np.int32),
+        group(table.transforms),
+        table.information,
+        table.source,
+    )
+
+
+def _truth(table: Table, ids: np.ndarray, group: Any) -> Any:
+    """True poses `[n]` in the order of `ids`, None unless every pose has one."""
+    slot, missing = find(table.ids[:, 0], ids) if len(table) else (ids, np.ones(len(ids), bool))
+    return None if missing.any() else group(table.transforms[slot])
 
 
 def _unrepeated(vertices: Table, ids: np.ndarray) -> np.ndarray:
@@ -274,7 +271,7 @@ def _unrepeated(vertices: Table, ids: np.ndarray) -> np.ndarray:
     np.minimum.at(first, slot, np.arange(len(vertices)))
     original = first[slot]
     for row in np.flatnonzero(original != np.arange(len(vertices))).tolist():
-        if not _same_numbers(vertices, row, int(original[row]), information=False):
+        if not _same_numbers(vertices, row, int(original[row])):
             where = vertices[original[[row]]].source[0]
             raise vertices.fault(
                 row,
@@ -300,16 +297,19 @@ def positions(ids: np.ndarray, edges: Table, end: int) -> np.ndarray:
     return slot
 
 
-def _closures(edges: Table, maps: Sequence[PoseGraph]) -> LoopClosures:
+def _closures(edges: Table, maps: Sequence[PoseGraph], place: np.ndarray) -> LoopClosures:
     """Edges between robots as closures, in the order of files and lines."""
-    ends = np.zeros((len(edges), 2), np.int64)
+    robots, ends = place[edges.robot], np.zeros((len(edges), 2), np.int64)
     for end in (0, 1):
-        for robot in np.unique(edges.robot[:, end]):
-            rows = edges.robot[:, end] == robot
+        for robot in np.unique(robots[:, end]):
+            rows = robots[:, end] == robot
             ends[rows, end] = positions(maps[robot].ids, edges[rows], end)
+    known = len(edges) > 0 and bool((edges.label != UNKNOWN).all())
     return LoopClosures.from_checked(
-        (edges.robot[:, 0], ends[:, 0], edges.robot[:, 1], ends[:, 1]),
+        (robots[:, 0], ends[:, 0], robots[:, 1], ends[:, 1]),
         maps[0].group(edges.transforms),
         edges.information,
         edges.source,
+        edges.weight,
+        edges.label == TRUE if known else None,
     )

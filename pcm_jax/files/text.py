@@ -1,4 +1,4 @@
-"""From a file's bytes to tables of numbers, with the line each row came from.
+"""From a file's lines to tables of numbers, with the line each row came from.
 
 Lines are split and converted in bulk; only when that fails are they looked at one by one, to name
 the culprit.
@@ -8,12 +8,8 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import gzip
-import lzma
-import zlib
+import re
 from collections.abc import Callable, Sequence
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,54 +17,6 @@ from jaxtyping import Float, Int
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.graph.validation import Fault, check_finite, raise_first
-
-GZIP_MAGIC, XZ_MAGIC = b"\x1f\x8b", b"\xfd7zXZ\x00"
-
-
-def read_lines(path: str | PathLike[str]) -> list[str]:
-    """The lines of a text file, which may be gzip- or xz-compressed (told by its first bytes).
-
-    Raises:
-        FileFormatError: for a file that is missing, unreadable, binary, or compressed and cut
-            short.
-    """
-    data = _decompressed(path, _read_bytes(path))
-    if b"\0" in data:
-        line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise FileFormatError(path, line, "binary data (a zero byte), expected text")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise FileFormatError(
-            path, line, f"binary data (byte {data[error.start]:#04x}), expected text"
-        ) from None
-    return text.replace("\r\n", "\n").split("\n")
-
-
-def _read_bytes(path: str | PathLike[str]) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise FileFormatError(path, None, "there is no such file") from None
-    except IsADirectoryError:
-        raise FileFormatError(path, None, "this is a folder, expected a file") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileFormatError(path, None, f"cannot be read: {reason}") from None
-
-
-def _decompressed(path: str | PathLike[str], data: bytes) -> bytes:
-    try:
-        if data.startswith(GZIP_MAGIC):
-            return gzip.decompress(data)
-        if data.startswith(XZ_MAGIC):
-            return lzma.decompress(data)
-    except (EOFError, OSError, lzma.LZMAError, zlib.error) as error:
-        raise FileFormatError(
-            path, None, f"damaged or truncated compressed file: {str(error).lower()}"
-        ) from None
-    return data
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,9 +114,16 @@ class Rows:
                 table[:, index - start] = list(map(convert, words))
             except (ValueError, OverflowError):
                 row = next(k for k, word in enumerate(words) if not _fits(word, convert, dtype))
-                problem = f"{words[row][:40]!r} given, expected {expected}"
+                problem = f"{words[row][:40]!r} given, expected {expected}{_hint(words[row])}"
                 raise self.fault(row, problem) from None
         return table
+
+
+def _hint(word: str) -> str:
+    """What a word that is no number looks like."""
+    if re.fullmatch(r"[-+]?\d+,\d*([eE][-+]?\d+)?", word):
+        return " with a decimal point, not a decimal comma"
+    return ", not columns with ';' between them" if ";" in word else ""
 
 
 def _fits(word: str, convert: Callable[[str], Any], dtype: Any) -> bool:
@@ -227,11 +182,22 @@ def table_rows(path: str, lines: Sequence[str]) -> Rows:
     return _split_rows(path, lines, str.split)
 
 
+def delimiter_of(line: str) -> str | None:
+    """The character between a line's columns: a semicolon, tab or comma; None without any."""
+    return next((mark for mark in ";\t," if mark in line), None)
+
+
 def csv_rows(path: str, lines: Sequence[str]) -> Rows:
-    """Splits lines at commas; blank lines and those that start with "#" are dropped."""
+    """Splits lines at commas; blank lines and those that start with "#" are dropped.
+
+    Semicolons or tabs will do for commas, where the first line has them.
+    """
+    first = next((line for line in lines if line.strip() and line.lstrip()[0] != "#"), "")
+    mark = delimiter_of(first) or ","
 
     def split(line: str) -> list[str]:
-        return [word.strip() for word in next(csv.reader([line], skipinitialspace=True))]
+        cells = next(csv.reader([line], skipinitialspace=True, delimiter=mark))
+        return [word.strip() for word in cells]
 
     return _split_rows(path, lines, split)
 

@@ -1,190 +1,44 @@
-"""Writing pose graphs as g2o."""
+"""Writing pose graphs: the front door."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
-import jaxlie
-import numpy as np
-
-from pcm_jax import lie
-from pcm_jax.errors import InputError
-from pcm_jax.files import coordinates
-from pcm_jax.files.header import ORDER_LINE, ROBOT_LINE, TABLE_COLUMNS, TABLE_LINE
-from pcm_jax.files.output import write_text
-from pcm_jax.graph import symbols
+from pcm_jax.errors import FileFormatError, InputError
+from pcm_jax.files.formats import Format, formats, named
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
 
-IDS = ("original", "sequential")
 COMPRESSED = (".gz", ".xz")
 
 
-def write_g2o(
-    path: str | PathLike[str], graph: MultiRobotGraph | PoseGraph, *, ids: str = "original"
+def write_graph(
+    path: str | PathLike[str], graph: MultiRobotGraph | PoseGraph, *, format: str | None = None
 ) -> None:
-    """Writes maps and closures as one g2o file, from which `read_graph` makes the same graph.
-
-    The file has all vertices robot by robot, then the maps' edges, then the closures, in their
-    order; numbers have 17 digits, information is over the tangent. It is written whole or not at
-    all; `.gz` and `.xz` compress it.
+    """Writes maps and closures in the format of a name, or of the path's suffix.
 
     Args:
-        path: the file.
+        path: the file; `.gz` and `.xz` after the suffix compress it.
         graph: what to write.
-        ids: "original": one robot's ids as they are; several robots' as GTSAM symbol keys, which
-            name the robot by letter. Comments in the file say how to get names and ids back.
-            "sequential": 0, 1, 2, … over all robots, as g2o_viewer expects, with a table of
-            robots and ids beside the file: `merged.ids.csv` for `merged.g2o`.
+        format: one of the formats that are written; by default the one of the suffix.
 
     Raises:
-        FileFormatError: for a folder that does not exist or cannot be written to.
-        InputError: for another value of `ids`, poses that are neither SE(2) nor SE(3), a robot's
-            name that is not printable text, and for "original" where ids do not fit a symbol key
-            (0 … 2^56 − 1) or there are more robots than letters (94).
+        InputError: for a format that is not written.
+        FileFormatError: for a suffix that is no format's, and as the format's writer.
     """
-    if ids not in IDS:
-        raise InputError(f"ids: {ids!r} given, expected one of {IDS}")
-    if isinstance(graph, PoseGraph):
-        graph = MultiRobotGraph((graph,))
-    _check_writable(graph)
-    if ids == "sequential":
-        starts = np.cumsum([0, *(pose_graph.num_poses for pose_graph in graph.maps)])
-        keys = [np.arange(a, b) for a, b in pairwise(starts)]
-        table = _table_path(Path(path))
-        write_text(table, _id_table(graph.maps))
-        header = [TABLE_LINE.format(file=table.name)]
-    else:
-        header, keys = original_keys(graph.maps)
-    if any((np.diff(pose_graph.ids) < 0).any() for pose_graph in graph.maps):
-        header.append(ORDER_LINE)
-    write_text(path, "\n".join([*header, *_body(graph, keys), ""]))
+    found = named(format) if format else _of_suffix(path)
+    if found.write is None:
+        raise InputError(f"format: {found.name!r} given, expected one that is written")
+    whole = MultiRobotGraph((graph,)) if isinstance(graph, PoseGraph) else graph
+    found.write(path, whole)
 
 
-def check_group(graph: MultiRobotGraph) -> None:
-    """Raises `InputError` for a group that formats do not know."""
-    if graph.group not in (jaxlie.SE2, jaxlie.SE3):
-        raise InputError(f"graph: {graph.group.__name__} given, expected SE2 or SE3")
-
-
-def _check_writable(graph: MultiRobotGraph) -> None:
-    """The group has a tag, and the names fit into a comment."""
-    check_group(graph)
-    for name in graph.names:
-        if not name.isprintable() or name.strip() != name:
-            raise InputError(
-                f"graph: the robot name {name!r} cannot be written, expected printable text"
-                " without space around it"
-            )
-
-
-def _table_path(path: Path) -> Path:
-    """`merged.ids.csv` beside `merged.g2o` or `merged.g2o.xz`."""
-    bare = path.with_suffix("") if path.suffix in COMPRESSED else path
-    return bare.with_suffix(".ids.csv")
-
-
-def _id_table(maps: Sequence[PoseGraph]) -> str:
-    """CSV text with the columns vertex, robot, id."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(TABLE_COLUMNS)
-    named = ((graph.name, pose) for graph in maps for pose in graph.ids.tolist())
-    table.writerows((vertex, *row) for vertex, row in enumerate(named))
-    return text.getvalue()
-
-
-def original_keys(maps: Sequence[PoseGraph]) -> tuple[list[str], list[np.ndarray]]:
-    """Comments, and the ids to write for each robot's poses: one robot's own, else symbol keys.
-
-    Raises:
-        InputError: for ids that fit no symbol key, or more robots than letters.
-    """
-    if len(maps) == 1 and not symbols.letters_of(maps[0].ids).any():
-        name = maps[0].name
-        header = [] if name == "a" else [ROBOT_LINE.format(letter="-", kind="id", name=name)]
-        return header, [maps[0].ids]
-    header, keys = [], []
-    for graph, letter in zip(maps, _letters(maps), strict=True):
-        kept = bool((symbols.letters_of(graph.ids) == ord(letter)).all())
-        kind = "key" if kept else "index"
-        header.append(ROBOT_LINE.format(letter=letter, kind=kind, name=graph.name))
-        keys.append(graph.ids if kept else _as_keys(letter, graph))
-    standard = [ROBOT_LINE.format(letter=g.name, kind="key", name=g.name) for g in maps]
-    ordered = all(a.name < b.name for a, b in pairwise(maps))
-    return ([] if header == standard and ordered else header), keys
-
-
-def _letters(maps: Sequence[PoseGraph]) -> list[str]:
-    """A letter for each robot: that of its symbol keys, its name where it is a letter, or free."""
-    wanted = []
-    for graph in maps:
-        codes = np.unique(symbols.letters_of(graph.ids))
-        own = chr(codes[0]) if len(codes) == 1 and codes[0] else graph.name
-        printable = len(own) == 1 and symbols.FIRST_LETTER <= ord(own) <= symbols.LAST_LETTER
-        wanted.append(own if printable else "")
-    wanted = [own if own not in wanted[:index] else "" for index, own in enumerate(wanted)]
-    alphabet = sorted(map(chr, range(symbols.FIRST_LETTER, symbols.LAST_LETTER + 1)), key=_rank)
-    free = [letter for letter in alphabet if letter not in wanted]
-    if wanted.count("") > len(free):
-        raise InputError(
-            f"graph: {len(maps)} robots, but symbol keys have {len(alphabet)} letters;"
-            ' ids="sequential" can name more'
-        )
-    return [own or free.pop(0) for own in wanted]
-
-
-def _rank(letter: str) -> tuple[bool, bool, str]:
-    """Lower case letters first, then upper case ones, then the rest."""
-    return (not letter.isalpha(), not letter.islower(), letter)
-
-
-def _as_keys(letter: str, graph: PoseGraph) -> np.ndarray:
-    wrong = (graph.ids < 0) | (graph.ids >= symbols.INDEX_LIMIT)
-    if wrong.any():
-        raise InputError(
-            f"graph: robot {graph.name!r} has the id {graph.ids[wrong][0]}, which fits no symbol"
-            f' key (0 … 2^{symbols.INDEX_BITS} − 1); ids="sequential" can keep it'
-        )
-    return symbols.keys(letter, graph.ids)
-
-
-def _body(graph: MultiRobotGraph, keys: list[np.ndarray]) -> Iterable[str]:
-    """The VERTEX and EDGE lines; `keys` are the ids to write, robot by robot."""
-    for pose_graph, ids in zip(graph.maps, keys, strict=True):
-        yield from _lines("VERTEX", [ids], pose_graph.poses)
-    for pose_graph, ids in zip(graph.maps, keys, strict=True):
-        ends = [ids[np.asarray(pose_graph.tail)], ids[np.asarray(pose_graph.head)]]
-        yield from _lines("EDGE", ends, pose_graph.measurement, pose_graph.information)
-    closures = graph.closures
-    ends = closure_keys(graph, keys)
-    yield from _lines("EDGE", ends, closures.measurement, closures.information)
-
-
-def closure_keys(graph: MultiRobotGraph, keys: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The ids of the poses that closures start and end at, of `keys`, robot by robot."""
-    joined, start = np.concatenate(keys), np.cumsum([0, *map(len, keys)])
-    closures = graph.closures
-    ends = (closures.robot_a, closures.pose_a), (closures.robot_b, closures.pose_b)
-    return [joined[start[np.asarray(robot)] + np.asarray(pose)] for robot, pose in ends]
-
-
-def _lines(
-    kind: str, ids: list[np.ndarray], transforms: Any, information: Any = None
-) -> Iterable[str]:
-    """Text lines with the shortest numbers that read back exactly."""
-    parameters = np.asarray(lie.parameters(lie.as_numpy(transforms)))
-    numbers = coordinates.columns(parameters)
-    if information is not None:
-        triangle = coordinates.upper_triangle(np.asarray(information, dtype=np.float64))
-        numbers = np.concatenate([numbers, triangle], axis=1)
-    tag = f"{kind}_SE2" if parameters.shape[1] == 4 else f"{kind}_SE3:QUAT"
-    names = zip(*(column.tolist() for column in ids), strict=True)
-    for name, row in zip(names, numbers.tolist(), strict=True):
-        yield f"{tag} {' '.join(map(str, name))} {' '.join(map(repr, row))}"
+def _of_suffix(path: str | PathLike[str]) -> Format:
+    target = Path(path)
+    bare = target.with_suffix("") if target.suffix in COMPRESSED else target
+    for one in formats():
+        if one.write is not None and bare.suffix.lower() in one.suffixes:
+            return one
+    known = ", ".join(suffix for one in formats() if one.write for suffix in one.suffixes)
+    raise FileFormatError(path, None, f"suffix {bare.suffix!r} given, expected one of {known}")

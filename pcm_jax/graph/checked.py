@@ -1,4 +1,4 @@
-"""What a user may pass for poses, measurements and their uncertainty, as checked NumPy arrays."""
+"""Poses, measurements and their uncertainty as a user may pass them, checked, in NumPy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jaxlie
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
@@ -143,10 +143,27 @@ def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
         raise InputError(f"ids: shape {values.shape} given, expected ({count},), one per pose")
     if count and not np.issubdtype(values.dtype, np.integer):
         raise InputError(f"ids: {values.dtype} given, expected integers")
+    if values.dtype.kind == "u" and count and values.max() > np.iinfo(np.int64).max:
+        raise InputError(f"ids: {values.max()} given, expected integers below 2^63")
     unique, counts = np.unique(values, return_counts=True)
     if len(unique) < count:
         raise InputError(f"ids: {unique[np.argmax(counts)]} occurs more than once")
     return values.astype(np.int64)
+
+
+def as_mask(mask: Any, argument: str, count: int) -> Bool[np.ndarray, " m"]:
+    """Bool `[count]`, one per closure.
+
+    Raises:
+        InputError: for another shape or dtype.
+    """
+    values = np.asarray(mask)
+    if values.dtype != bool or values.shape != (count,):
+        raise InputError(
+            f"{argument}: {values.dtype} {list(values.shape)} given, expected bool [{count}], one "
+            "per closure"
+        )
+    return values
 
 
 def as_weights(weights: Any, count: int) -> Float[np.ndarray, " m"]:

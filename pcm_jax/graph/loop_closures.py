@@ -44,6 +44,8 @@ class LoopClosures:
         information: `[m, d, d]`, inverse covariance of δ.
         weight: float `[m]`, at least 0: how much a front end trusts each closure; 1 by default.
         source: NumPy `[m]` of strings, "file:line" of each closure, or "" where not from a file.
+        is_true: bool NumPy `[m]`, the labels of closures whose truth is known; None where it is
+            not. Outside the traced part, as `source` is.
     """
 
     robot_a: Int[np.ndarray | Array, " m"]
@@ -54,6 +56,7 @@ class LoopClosures:
     information: Float[np.ndarray | Array, "m d d"]
     weight: Float[np.ndarray | Array, " m"] = None  # type: ignore[assignment]
     source: np.ndarray = None  # type: ignore[assignment]
+    is_true: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.weight is None:
@@ -96,6 +99,7 @@ class LoopClosures:
             np.asarray(self.information)[rows],
             self.source[rows],
             np.asarray(self.weight)[rows],
+            None if self.is_true is None else self.is_true[rows],
         )
 
     def between(self, a: int, b: int) -> tuple[LoopClosures, np.ndarray]:
@@ -124,8 +128,9 @@ class LoopClosures:
         information[rows] = np.swapaxes(back, 1, 2) @ information[rows] @ back
         ends = [np.asarray(getattr(self, name)) for name in ENDS]
         flipped = tuple(np.where(rows, ends[(k + 2) % 4], ends[k]) for k in range(4))
-        weight = np.asarray(self.weight)
-        return self.from_checked(flipped, self.group(values), information, self.source, weight)
+        return self.from_checked(
+            flipped, self.group(values), information, self.source, self.weight, self.is_true
+        )
 
     def pairs(self) -> list[tuple[int, int]]:
         """The pairs of robots that closures join, (a, b) with a < b, sorted."""
@@ -234,7 +239,8 @@ class LoopClosures:
         measurement: Any,
         information: np.ndarray,
         source: np.ndarray,
-        weight: np.ndarray | None = None,
+        weight: Any = None,
+        is_true: np.ndarray | None = None,
     ) -> LoopClosures:
         """Makes closures of NumPy arrays and NumPy-backed transforms validated before.
 
@@ -244,12 +250,13 @@ class LoopClosures:
             information: likewise.
             source: likewise.
             weight: likewise; None for ones.
+            is_true: likewise.
         """
         a, i, b, k = (np.asarray(end, np.int32) for end in ends)
         measurement = lie.as_numpy(measurement)
         information = np.asarray(information, np.float64)
         weight = np.ones(len(a)) if weight is None else np.asarray(weight, np.float64)
-        return cls(a, i, b, k, measurement, information, weight, source)
+        return cls(a, i, b, k, measurement, information, weight, source, is_true)
 
     @classmethod
     def concatenate(cls, parts: Sequence[LoopClosures]) -> LoopClosures:
@@ -268,6 +275,7 @@ class LoopClosures:
             np.concatenate([np.asarray(part.information) for part in parts]),
             np.concatenate([part.source for part in parts]),
             np.concatenate([np.asarray(part.weight) for part in parts]),
+            _labels(parts),
         )
 
     @classmethod
@@ -278,6 +286,13 @@ class LoopClosures:
         return cls.from_checked(
             (none,) * 4, lie.identity(group, (0,)), np.zeros((0, d, d)), np.zeros(0, object)
         )
+
+
+def _labels(parts: Sequence[LoopClosures]) -> np.ndarray | None:
+    """The labels of all parts, where every closure has one."""
+    labels = [part.is_true for part in parts if len(part)]
+    known = [label for label in labels if label is not None]
+    return np.concatenate(known) if known and len(known) == len(labels) else None
 
 
 def robot_indices(maps: Sequence[PoseGraph], robots: Any, argument: str) -> np.ndarray:
@@ -311,6 +326,9 @@ def pose_indices(
     wanted = np.asarray(ids)
     if wanted.shape != robots.shape or (wanted.size and wanted.dtype.kind not in "iu"):
         raise fault(0, f"{wanted.dtype} {wanted.shape} given, expected integers {robots.shape}")
+    if wanted.size and wanted.dtype.kind == "u" and wanted.max() > np.iinfo(np.int64).max:
+        row = int(np.argmax(wanted))
+        raise fault(row, f"id {wanted[row]} given, expected integers below 2^63")
     poses, missing = np.zeros(len(robots), np.int32), np.zeros(len(robots), bool)
     for robot in np.unique(robots):
         rows = np.flatnonzero(robots == robot)
@@ -326,10 +344,11 @@ def pose_indices(
 
 def _as_keys(known: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """The ids wanted, with indices made keys where a robot's ids are symbol keys."""
-    if not symbols.are_symbols(known):
+    if not (symbols.are_symbols(known) or symbols.are_labelled(known)):
         return wanted
-    index = (wanted >= 0) & (wanted < symbols.INDEX_LIMIT)
-    return np.where(index, symbols.keys(chr(symbols.letters_of(known)[0]), wanted), wanted)
+    labelled = symbols.are_labelled(known)
+    index = (wanted >= 0) & (wanted < (symbols.LABEL_LIMIT if labelled else symbols.INDEX_LIMIT))
+    return np.where(index, symbols.with_indices(int(known[0]), wanted), wanted)
 
 
 def find(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,6 +28,8 @@ class MultiRobotGraph:
     Attributes:
         maps: one `PoseGraph` per robot.
         closures: their `LoopClosures`; None stands for none.
+        truth: each robot's true poses, NumPy-backed Lie `[n]` of one frame, None for a robot whose
+            are not known; None for all. Outside the traced part.
 
     Raises:
         InputError: for no map, maps or closures of different groups, and a closure to a robot or a
@@ -36,6 +38,7 @@ class MultiRobotGraph:
 
     maps: tuple[PoseGraph, ...]
     closures: LoopClosures = None  # type: ignore[assignment]
+    truth: tuple[Any, ...] | None = None
 
     def __post_init__(self) -> None:
         maps = tuple(self.maps)
@@ -128,6 +131,7 @@ def _unflatten(_: None, children: Any) -> MultiRobotGraph:
     graph = object.__new__(MultiRobotGraph)  # leaves may be tracers: nothing to check
     object.__setattr__(graph, "maps", children[0])
     object.__setattr__(graph, "closures", children[1])
+    object.__setattr__(graph, "truth", None)
     return graph
 
 

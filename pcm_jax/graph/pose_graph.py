@@ -13,6 +13,7 @@ from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import checked, symbols, validation
 from pcm_jax.graph.checked import batch_size
+from pcm_jax.graph.priors import Priors
 from pcm_jax.graph.spanning_tree import check_connected, spanning_tree_poses
 from pcm_jax.graph.validation import argument_fault
 
@@ -44,6 +45,8 @@ class PoseGraph:
         ids: int64 NumPy `[n]`, the poses' ids in the file they came from.
         name: the robot's name.
         source: NumPy `[e]` of strings, "file:line" of each edge, or "" where not from a file.
+        stamps: float64 NumPy `[n]`, seconds, NaN for a pose without a time; None without times.
+        priors: poses measured by themselves; None for none.
     """
 
     poses: Any
@@ -54,6 +57,8 @@ class PoseGraph:
     ids: np.ndarray = None  # type: ignore[assignment]
     name: str = ""
     source: np.ndarray = None  # type: ignore[assignment]
+    stamps: np.ndarray | None = None
+    priors: Priors | None = None
 
     def __post_init__(self) -> None:
         if self.ids is None:
@@ -86,8 +91,12 @@ class PoseGraph:
         return lie.tangent_dim(self.poses)
 
     def pose_name(self, index: int) -> str:
-        """The robot's name and the pose's id, a symbol's index for symbol keys: "a12"."""
-        return f"{self.name}{symbols.indices_of(self.ids[[index]])[0]}"
+        """The robot's name and the pose's id, a symbol's index for symbol keys.
+
+        "a12" for a name of one letter, "name:12" for any other.
+        """
+        mark = "" if len(self.name) == 1 and not self.name.isdigit() else ":"
+        return f"{self.name}{mark}{symbols.indices_of(self.ids[[index]])[0]}"
 
     def with_poses(self, poses: Any) -> PoseGraph:
         """Puts the same graph at other poses; ids, name and sources are kept."""
@@ -179,6 +188,8 @@ class PoseGraph:
         ids: np.ndarray,
         name: str,
         source: np.ndarray,
+        stamps: np.ndarray | None = None,
+        priors: Priors | None = None,
     ) -> PoseGraph:
         """Makes a graph of NumPy arrays and NumPy-backed transforms validated before."""
         return cls(
@@ -190,6 +201,8 @@ class PoseGraph:
             ids=ids,
             name=name,
             source=source,
+            stamps=stamps,
+            priors=priors,
         )
 
     @classmethod

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.graph import symbols
 
 PREFERENCES = ("shortest", "odometry")
 
@@ -122,7 +123,11 @@ def check_connected(
     count, label = csgraph.connected_components(links, directed=False)
     if count > 1:
         stray = int(np.argmax(label != label[0]))
-        names = np.arange(n) if ids is None else ids
+        names = (
+            np.arange(n)
+            if ids is None
+            else [symbols.key_text(int(one)) for one in ids[: stray + 1]]
+        )
         raise InputError(
             f"the map falls into {count} parts: no edges lead from pose {names[0]} to pose"
             f" {names[stray]}, expected one connected map"

@@ -20,6 +20,7 @@ Fault = Callable[[int, str], InputError]
 
 SYMMETRY_TOLERANCE = 1e-6  # of the matrix's largest entry
 ROTATION_TOLERANCE = 1e-3  # of a quaternion's norm, or of a rotation matrix's entries
+ROUNDING = 1e-2  # of a quaternion's norm: what is further off holds something else
 LARGEST = 1e100  # products of a few such numbers still are float64
 CLIP = 1e-9  # of the largest eigenvalue: what `repair="clip"` raises the others to
 
@@ -88,7 +89,7 @@ def check_self_loops(
 
 
 def unit_rotations(
-    parameters: Float[np.ndarray, "n p"], size: int, fault: Fault
+    parameters: Float[np.ndarray, "n p"], size: int, fault: Fault, *, columns: str = ""
 ) -> Float[np.ndarray, "n p"]:
     """Parameters of transforms with their rotations scaled to unit length.
 
@@ -96,9 +97,11 @@ def unit_rotations(
         parameters: `[n, p]`, the rotation in the first `size` columns (jaxlie's layout).
         size: 4 for a quaternion, 2 for cosine and sine, 0 where there is no rotation.
         fault: names the culprit.
+        columns: the order in which a file should have them; "" for what was no file.
 
     Raises:
-        InputError: through `fault`, for a norm of zero.
+        InputError: through `fault`, for a norm of zero, and, in a file, for one that is more than
+            1 % from one: no rounding, but other columns.
 
     Warns:
         InputWarning: once, with the number of norms further than 1e-3 from one.
@@ -108,6 +111,14 @@ def unit_rotations(
     what = "quaternion" if size == 4 else "cosine and sine"
     norm = np.sqrt(np.sum(np.square(parameters[:, :size]), axis=1))
     raise_first(norm == 0.0, fault, lambda _: f"{what} of norm 0, expected norm 1")
+    raise_first(
+        (np.abs(norm - 1.0) > ROUNDING) & bool(columns),
+        fault,
+        lambda row: (
+            f"{what} of norm {norm[row]:.6g} is no rounding, expected norm 1: are the columns in"
+            f" the order {columns}?"
+        ),
+    )
     far = np.abs(norm - 1.0) > ROTATION_TOLERANCE
     if far.any():
         row = int(np.argmax(far))
@@ -117,7 +128,7 @@ def unit_rotations(
 
 
 def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, " m"]:
-    """Which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
+    """Finds which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
     rest = np.array(matrices, dtype=np.float64)
     good = np.ones(len(rest), bool)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not definite
@@ -126,6 +137,21 @@ def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, 
             good &= pivot > 0.0
             column = rest[:, k + 1 :, k] / np.where(good, pivot, np.inf)[:, None]
             rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * rest[:, None, k, k + 1 :]
+    return _factored(matrices, good)
+
+
+def _factored(
+    matrices: Float[np.ndarray, "m d d"], good: Bool[np.ndarray, " m"]
+) -> Bool[np.ndarray, " m"]:
+    """Which of the good ones LAPACK factors as well, whose rounding is another."""
+    try:
+        np.linalg.cholesky(np.asarray(matrices)[good])
+    except np.linalg.LinAlgError:
+        for row in np.flatnonzero(good).tolist():
+            try:
+                np.linalg.cholesky(matrices[row])
+            except np.linalg.LinAlgError:
+                good[row] = False
     return good
 
 

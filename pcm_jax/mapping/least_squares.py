@@ -72,7 +72,7 @@ def check_names(solver: str, engine: str) -> None:
             import sparsax  # noqa: F401
         except ImportError as error:
             raise InputError(
-                "engine: 'cholmod' needs the package sparsax: pip install 'pcm-jax[cholmod]'"
+                "engine: 'cholmod' needs the package sparsax: pip install '.[cholmod]'"
             ) from error
 
 

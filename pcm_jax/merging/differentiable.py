@@ -8,6 +8,27 @@ The gauge. A closure of weight zero joins nothing, so which robots hang together
 time only. One more pose, the world's, stands fixed at the origin, and an edge from it to each
 robot's first pose holds the first robot of every group where its own map has it. All else is free
 to move with that robot, so these edges end up without residual, whatever their weight.
+
+**Training through it.** What a network says of each closure can be trained through consistency,
+selection and merge:
+
+```python
+import dataclasses
+import jax.numpy as jnp
+gate, ready = pcm.chi2_gate(0.99, dof=3), pcm.MultiRobotGraph(tuple(maps), closures)
+
+def loss(scale):                                       # of each closure's covariance
+    covariance = scale[:, None, None] * problem.measurement_covariance
+    learnt = dataclasses.replace(problem, measurement_covariance=covariance)
+    weights = pcm.soft_select(pcm.squared_mahalanobis(learnt), gate, temperature=1.0)
+    poses_a, poses_b = pcm.merge_differentiable(ready, weights)
+    return jnp.sum(poses_b.translation() ** 2)         # any function of the merged map
+
+slope = jax.grad(loss)(jnp.ones(len(problem.valid)))
+```
+
+Bad samples of a batch are NaN, change nothing else and have derivative zero; `pad_graph` makes
+worlds of different sizes one batch.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,17 @@ def joint_graph(
         name=" + ".join(one.name for one in maps),
         source=np.concatenate([m.source for m in [*maps, used]]),
     )
+
+
+def cut_apart(
+    graph: MultiRobotGraph, members: Sequence[int], poses: Any
+) -> Iterator[tuple[int, Any]]:
+    """Cuts the poses of a joint graph apart: each robot and its own, one robot after the other."""
+    first = 0
+    for robot in members:
+        rows = slice(first, first + graph.maps[robot].num_poses)
+        yield robot, lie.take(poses, rows)
+        first = rows.stop
 
 
 def solve_joint(

@@ -90,7 +90,7 @@ def test_quaternions(write):
     with pytest.warns(
         InputWarning, match=r":3: quaternion of norm 1.002 scaled to norm 1 \(2 such"
     ):
-        graph = read_graph(write(*vertices, edge.format(1.002), edge.format(0.9)))
+        graph = read_graph(write(*vertices, edge.format(1.002), edge.format(0.992)))
     assert graph.maps[0].measurement.wxyz_xyz[:, 0].tolist() == [1.0, 1.0]
     read_graph(write(*vertices, edge.format(1.0009)))  # rounding in the file is no cause for alarm
 

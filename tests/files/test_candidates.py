@@ -112,7 +112,7 @@ def test_indefinite_candidates_are_clipped_on_request(flat, write):
         (["a,0,b,10,1,2,3,1,0,1"], "csv:1: 0 given, expected a standard deviation above 0"),
         (["a,0,b,10,1,2,3,1,-1,1"], "csv:1: -1 given, expected a standard deviation above 0"),
         (
-            ["robot_a,robot_b,id_a,id_b,x,y,theta"],
+            ["robot_a,robot_b,id_a,id_b,x,y"],
             "csv:1: columns robot_a,robot_b,id_a.* given, exp",
         ),
         (["robot_a,id_a,robot_b,id_b,x,y,z,qx,qy,qz,qw"], "csv:1: columns .*, expected .*theta"),

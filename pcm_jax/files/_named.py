@@ -1,0 +1,86 @@
+"""Candidates that call their robots by name, once the maps are known."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from pcm_jax.errors import FileFormatError
+from pcm_jax.files.names import Roster
+from pcm_jax.files.pose_file import TRUE, UNKNOWN, PoseFile
+from pcm_jax.files.text import line_fault, sources
+from pcm_jax.graph.loop_closures import LoopClosures, pose_indices
+from pcm_jax.graph.multi_robot import MultiRobotGraph
+from pcm_jax.graph.pose_graph import PoseGraph
+from pcm_jax.graph.validation import raise_first
+
+
+def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures, tuple[str, ...]]:
+    """The closures of a file whose robots are named, and notes on what was left out or assumed.
+
+    Raises:
+        FileFormatError: naming the line of a robot or pose that is not there, or of a closure
+            inside one robot.
+    """
+    edges = file.edges
+    fault = line_fault(file.path, edges.line)
+    if file.group is not graph.group and len(edges):
+        raise FileFormatError(
+            file.path,
+            int(edges.line[0]),
+            f"{file.group.__name__} measurements, expected {graph.group.__name__} like the maps",
+        )
+    if not len(edges) or file.named is None:
+        return LoopClosures.empty(graph.group), ()
+    roster, called = Roster(graph.names), file.named
+    robots = []
+    for end in (0, 1):
+        names = [str(name) for name in called[:, end]]
+        robots.append(roster.indices(names, fault))
+        raise_first(
+            robots[end] < 0,
+            fault,
+            lambda row, names=names: (
+                f"there is no robot {names[row][:40]!r}, expected one of {roster.expected()}"
+            ),
+        )
+    loops = (robots[0] == robots[1]) & (edges.ids[:, 0] == edges.ids[:, 1])
+    raise_first(
+        (robots[0] == robots[1]) & ~loops,
+        fault,
+        lambda row: f"closure from robot {called[row, 0]!r} to itself, expected two robots",
+    )
+    rows = np.flatnonzero(~loops)
+    kept, robots = edges[rows], [robot[rows] for robot in robots]
+    own = line_fault(file.path, kept.line)
+    poses = [pose_indices(graph.maps, robots[end], kept.ids[:, end], own) for end in (0, 1)]
+    information, notes = kept.information, []
+    if loops.any():
+        notes.append(f"{file.path}: {int(loops.sum())} candidates from a pose to itself left out")
+    if file.bare:
+        information = np.tile(_median_information(graph.maps), (len(kept), 1, 1))
+        sigmas = 1.0 / np.sqrt(np.diagonal(information[0])) if len(kept) else np.zeros(0)
+        text = ", ".join(f"{sigma:.3g}" for sigma in sigmas)
+        notes.append(
+            f"{file.path}: no columns for the uncertainty; the median standard deviations of the"
+            f" maps' edges ({text}) are used"
+        )
+    known = bool((kept.label != UNKNOWN).all())
+    closures = LoopClosures.from_checked(
+        (robots[0], poses[0], robots[1], poses[1]),
+        graph.group(kept.transforms),
+        information,
+        sources(file.path, kept.line),
+        kept.weight,
+        kept.label == TRUE if known else None,
+    )
+    return closures, tuple(notes)
+
+
+def _median_information(maps: tuple[PoseGraph, ...]) -> Float[np.ndarray, "d d"]:
+    """Diagonal, of the median standard deviation of the maps' edges in each direction."""
+    information = np.concatenate([np.asarray(graph.information) for graph in maps])
+    if not len(information):
+        return np.eye(maps[0].tangent_dim)
+    variances = np.diagonal(np.linalg.inv(information), axis1=1, axis2=2)
+    return np.diag(1.0 / np.median(np.abs(variances), axis=0))

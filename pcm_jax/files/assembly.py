@@ -1,0 +1,133 @@
+"""From what files hold to one graph: whose poses, one map a robot, closures counted once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from pcm_jax import lie
+from pcm_jax.errors import FileFormatError
+from pcm_jax.files._components import by_components
+from pcm_jax.files._named import named_closures
+from pcm_jax.files.account import Account, Copy, account_of
+from pcm_jax.files.plausibility import doubts
+from pcm_jax.files.pose_file import PoseFile, Reading
+from pcm_jax.files.robots import assemble
+from pcm_jax.files.scopes import scopes_of
+from pcm_jax.graph.copies import first_copies
+from pcm_jax.graph.loop_closures import LoopClosures
+from pcm_jax.graph.multi_robot import MultiRobotGraph
+
+MOST_BAD = 1000  # candidates that `skip_bad` leaves out of one file
+
+
+def graph_of(
+    files: Sequence[PoseFile],
+    reading: Reading,
+    notes: Sequence[str] = (),
+    *,
+    skip_bad: bool = False,
+) -> tuple[MultiRobotGraph, Account]:
+    """Puts files together, and tells how.
+
+    Args:
+        files: what they hold, candidates after the maps.
+        reading: the options with which they were read.
+        notes: what was left out before.
+        skip_bad: whether candidates that name no pose are left out and counted.
+
+    Raises:
+        FileFormatError: as `read_graph`.
+    """
+    own = [file for file in files if not (file.candidates and file.named is not None)]
+    if not own or all(file.candidates for file in own):
+        raise FileFormatError(files[0].path, None, "candidates only, expected a map as well")
+    check_one_group([file for file in own if len(file.edges) or len(file.vertices)])
+    placed, scopes = scopes_of(own, reading.ids)
+    if reading.components:
+        scopes = [by_components(*both) for both in zip(placed, scopes, strict=True)]
+    made = assemble(placed, scopes)
+    graph = MultiRobotGraph(made.maps, made.closures, made.truth)
+    parts, notes = [made.closures], [*notes, *made.notes]
+    for file in files:
+        if file.candidates and file.named is not None:
+            more, told = _tolerant(file, graph, skip_bad)
+            parts.append(more)
+            notes += told
+    between, copies = counted_once(LoopClosures.concatenate(parts))
+    graph = MultiRobotGraph(made.maps, between, made.truth)
+    accounts = {
+        id(file): account_of(found, scope)
+        for file, found, scope in zip(own, placed, scopes, strict=True)
+    }
+    clipped = sum(file.clipped for file in files)
+    account = Account(
+        files=tuple(accounts.get(id(file)) or account_of(file, None) for file in files),
+        copies=copies,
+        notes=tuple(notes),
+        doubts=() if clipped else tuple(doubts(graph.maps, between, reading.information)),
+        clipped=clipped,
+    )
+    return graph, account
+
+
+def counted_once(closures: LoopClosures) -> tuple[LoopClosures, tuple[Copy, ...]]:
+    """Closures without those that state an earlier one again, and these."""
+    ends = np.stack(
+        [
+            np.asarray(getattr(closures, name), np.int64)
+            for name in ("robot_a", "pose_a", "robot_b", "pose_b")
+        ],
+        axis=1,
+    )
+    information = np.asarray(closures.information)
+    first = first_copies(ends, lie.as_numpy(closures.measurement), information)
+    again = first != np.arange(len(first))
+    if not again.any():
+        return closures, ()
+    turned = (ends != ends[first]).any(axis=1)
+    seen: set[tuple[int, str]] = set()
+    copies = []
+    for row in np.flatnonzero(again | np.isin(np.arange(len(first)), first[again])).tolist():
+        key = (int(first[row]), str(closures.source[row]).rsplit(":", 1)[0])
+        if again[row]:
+            source, original = str(closures.source[row]), str(closures.source[first[row]])
+            copies.append(Copy(source, original, bool(turned[row]), key not in seen))
+        seen.add(key)
+    return closures[~again], tuple(copies)
+
+
+def _tolerant(
+    file: PoseFile, graph: MultiRobotGraph, skip_bad: bool
+) -> tuple[LoopClosures, list[str]]:
+    """`named_closures`, without the candidates that name no pose where these may be skipped."""
+    bad: list[str] = []
+    while True:
+        try:
+            closures, notes = named_closures(file, graph)
+        except FileFormatError as error:
+            good = file.edges.line != error.line
+            if not skip_bad or error.line is None or good.all() or len(bad) >= MOST_BAD:
+                raise
+            bad.append(str(error))
+            kept = None if file.named is None else file.named[good]
+            file = dataclasses.replace(file, edges=file.edges[good], named=kept)
+            continue
+        told = [
+            f"{file.path}: {len(bad)} bad candidates left out (the first: {one})" for one in bad
+        ]
+        return closures, [*notes, *told[:1]]
+
+
+def check_one_group(files: Sequence[PoseFile]) -> None:
+    """Raises `FileFormatError` unless all files hold poses of one group."""
+    for file in files:
+        if file.group is not files[0].group:
+            raise FileFormatError(
+                file.path,
+                None,
+                f"holds {file.group.__name__} poses, but {files[0].path} holds"
+                f" {files[0].group.__name__} poses: SE(2) and SE(3) are mixed",
+            )

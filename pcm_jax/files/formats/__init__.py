@@ -1,0 +1,41 @@
+"""File formats, one module each; every module here registers what it defines.
+
+_registry       `Format`, and which one a file is in
+_tags           the columns of lines that begin with a tag
+_tagged         the reader of such lines
+g2o             pose graphs as g2o, and their writer
+toro, isam      the older text formats of pose graphs
+candidates      candidate closures as CSV
+tum             trajectories
+gtsam_objects   GTSAM's factor graphs, in memory
+"""
+
+import importlib
+import pkgutil
+
+from pcm_jax.files.formats._registry import (
+    HEAD,
+    Format,
+    formats,
+    markdown,
+    named,
+    recognised,
+    register,
+    rows,
+    unregister,
+)
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")
+
+__all__ = [
+    "HEAD",
+    "Format",
+    "formats",
+    "markdown",
+    "named",
+    "recognised",
+    "register",
+    "rows",
+    "unregister",
+]

@@ -1,0 +1,203 @@
+"""To and from GTSAM's factor graphs and values, in memory.
+
+GTSAM's `Pose3` puts rotation first in its tangent, `Pose2` is (x, y, θ) like ours; both perturb on
+the right. GTSAM is no dependency: whoever has such graphs has it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jaxlie
+import numpy as np
+
+from pcm_jax import lie
+from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.files.assembly import graph_of
+from pcm_jax.files.formats.g2o import check_group, closure_keys, original_keys
+from pcm_jax.files.pose_file import Lines, PoseFile, Reading
+from pcm_jax.files.scopes import Scope, made_scope
+from pcm_jax.graph import symbols
+from pcm_jax.graph.multi_robot import MultiRobotGraph
+from pcm_jax.graph.pose_graph import PoseGraph
+from pcm_jax.graph.validation import argument_fault, check_information, check_self_loops
+
+
+class _Kind(NamedTuple):
+    """What GTSAM has for a group: a pose from a matrix, a factor, and our tangent's entries."""
+
+    group: type[Any]
+    pose: Callable[[Any], Any]
+    between: Any
+    order: list[int]
+
+
+def to_gtsam(graph: MultiRobotGraph | PoseGraph) -> tuple[Any, Any]:
+    """A graph as GTSAM's `NonlinearFactorGraph` and `Values`.
+
+    Keys are those that `write_g2o` writes: one robot's ids as they are, several robots' as symbols
+    that name the robot by letter. There is no prior: GTSAM's optimisers want one on some pose.
+
+    Args:
+        graph: SE(2) or SE(3).
+
+    Returns:
+        between factors, the maps' edges robot by robot and then the closures, with Gaussian noise
+        of their information; and the poses.
+
+    Raises:
+        InputError: without GTSAM, for another group, and for ids that fit no key.
+    """
+    gtsam = _gtsam()
+    if isinstance(graph, PoseGraph):
+        graph = MultiRobotGraph((graph,))
+    check_group(graph)
+    (kind,) = (each for each in _kinds(gtsam) if each.group is graph.group)
+    keys = original_keys(graph.maps)[1]
+    values, factors = gtsam.Values(), gtsam.NonlinearFactorGraph()
+    for pose_graph, ids in zip(graph.maps, keys, strict=True):
+        for key, matrix in zip(ids.tolist(), _matrices(pose_graph.poses), strict=True):
+            values.insert(key, kind.pose(matrix))
+        ends = ids[np.asarray(pose_graph.tail)], ids[np.asarray(pose_graph.head)]
+        _add(factors, gtsam, kind, ends, pose_graph)
+    _add(factors, gtsam, kind, closure_keys(graph, keys), graph.closures)
+    return factors, values
+
+
+def from_gtsam(factors: Any, values: Any) -> MultiRobotGraph:
+    """Maps and closures from GTSAM's `NonlinearFactorGraph` and `Values`.
+
+    As `read_graph` takes a g2o file: symbol keys name their robots by letter, between factors that
+    join two robots are closures, and poses come in the order of their keys. Keys that are no
+    symbols belong to one robot.
+
+    Args:
+        factors: between factors of `Pose2` or `Pose3`. Others are left out.
+        values: a pose for every key.
+
+    Returns:
+        the graph; `source` of edges and closures is "factors:INDEX".
+
+    Raises:
+        InputError: without GTSAM; naming the factor, for one without a Gaussian noise model, with a
+            key that has no pose, or with information that is not positive definite; for a map that
+            is not connected.
+
+    Warns:
+        InputWarning: for factors left out, counted by type, but for a single prior: that holds the
+            map, which here needs no holding.
+    """
+    gtsam = _gtsam()
+    chosen = [(index, factors.at(index)) for index in range(factors.size())]
+    chosen = [(index, factor) for index, factor in chosen if factor is not None]
+    for kind in _kinds(gtsam):
+        edges = [(index, each) for index, each in chosen if isinstance(each, kind.between)]
+        if edges:
+            break
+    else:
+        raise InputError("factors: no BetweenFactorPose2 or BetweenFactorPose3 among them")
+    _warn_of_others([each for _, each in chosen if not isinstance(each, kind.between)])
+    poses = [(key, pose) for key in list(values.keys()) if (pose := _pose(values, key, kind))]
+    vertices = _lines([[key] for key, _ in poses], [pose for _, pose in poses], kind)
+    found = PoseFile("factors", kind.group, vertices, _edges(edges, gtsam, kind))
+    found = dataclasses.replace(found, format="gtsam", scope=_scope(found))
+    graph, account = graph_of([found], Reading())
+    for line in account.warnings():
+        warnings.warn(InputWarning(line), stacklevel=2)
+    return graph
+
+
+def _scope(found: PoseFile) -> Scope | None:
+    """One nameless robot where keys are no symbols."""
+    keyed = symbols.are_symbols(found.ids) or symbols.are_labelled(found.ids)
+    return None if keyed else made_scope(["factors"], [""], kind="one", rule="plain keys")
+
+
+def _gtsam() -> ModuleType:
+    try:
+        import gtsam  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise InputError("gtsam: not installed, expected it: pip install gtsam") from None
+    return gtsam
+
+
+def _kinds(gtsam: Any) -> tuple[_Kind, _Kind]:
+    def pose2(matrix: Any) -> Any:
+        return gtsam.Pose2(gtsam.Rot2.fromCosSin(*matrix[:2, 0]), matrix[:2, 2])
+
+    return (
+        _Kind(jaxlie.SE2, pose2, gtsam.BetweenFactorPose2, [0, 1, 2]),
+        _Kind(jaxlie.SE3, gtsam.Pose3, gtsam.BetweenFactorPose3, [3, 4, 5, 0, 1, 2]),
+    )
+
+
+def _matrices(transforms: Any) -> np.ndarray:
+    return np.asarray(lie.as_matrix(lie.as_numpy(transforms)))
+
+
+def _add(factors: Any, gtsam: Any, kind: _Kind, keys: Sequence[np.ndarray], measured: Any) -> None:
+    """Between factors of the measurements and information of edges or closures."""
+    order = np.array(kind.order)  # its own inverse
+    information = np.asarray(measured.information)[:, order[:, None], order]
+    ends = keys[0].tolist(), keys[1].tolist()
+    for tail, head, matrix, weight in zip(
+        *ends, _matrices(measured.measurement), information, strict=True
+    ):
+        noise = gtsam.noiseModel.Gaussian.Information(weight)
+        factors.add(kind.between(tail, head, kind.pose(matrix), noise))
+
+
+def _warn_of_others(others: list[Any]) -> None:
+    counts = Counter(type(factor).__name__ for factor in others)
+    if len(others) > 1 or not all(name.startswith("Prior") for name in counts):
+        names = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
+        warnings.warn(
+            InputWarning(f"factors: {names} left out, expected between factors of poses"),
+            stacklevel=3,
+        )
+
+
+def _pose(values: Any, key: int, kind: _Kind) -> Any:
+    """The pose of a key, None where its value is none of this kind."""
+    try:
+        return values.atPose2(key) if kind.group is jaxlie.SE2 else values.atPose3(key)
+    except (RuntimeError, ValueError, TypeError):
+        return None
+
+
+def _lines(keys: list[list[int]], poses: list[Any], kind: _Kind) -> Lines:
+    size = lie.module_of(kind.group).MATRIX_DIM
+    matrices: Any = np.array([pose.matrix() for pose in poses]).reshape(-1, size, size)
+    d = lie.tangent_dim(kind.group)
+    return Lines(
+        ids=np.array(keys, np.int64).reshape(len(poses), -1),
+        transforms=np.asarray(lie.parameters(lie.from_matrix(matrices))),
+        information=np.zeros((len(poses), d, d)),
+        line=np.arange(len(poses)),
+    )
+
+
+def _edges(edges: list[tuple[int, Any]], gtsam: Any, kind: _Kind) -> Lines:
+    """The between factors, checked."""
+    index = np.array([number for number, _ in edges])
+    lines = _lines([f.keys() for _, f in edges], [f.measured() for _, f in edges], kind)
+
+    def fault(row: int, problem: str) -> InputError:
+        return argument_fault("factors")(int(index[row]), problem)
+
+    weights = []
+    for row, (_, factor) in enumerate(edges):
+        noise = factor.noiseModel()
+        if not isinstance(noise, gtsam.noiseModel.Gaussian):
+            name = type(noise).__name__
+            raise fault(row, f"noise model {name}, expected a Gaussian one")
+        weights.append(noise.information())
+    order = np.array(kind.order)
+    information = check_information(np.array(weights)[:, order[:, None], order], fault)
+    check_self_loops(lines.ids[:, 0], lines.ids[:, 1], fault)
+    return dataclasses.replace(lines, information=information, line=index)

@@ -1,0 +1,72 @@
+"""Trajectories as maps: poses in order, joined by their own relative poses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pcm_jax import lie
+from pcm_jax.errors import FileFormatError
+from pcm_jax.files._scope import Scope
+from pcm_jax.files.pose_file import Lines, PoseFile, Reading
+
+
+def trajectory_file(
+    path: str,
+    format: str,
+    poses: Any,
+    line: Int[np.ndarray, " n"],
+    reading: Reading,
+    *,
+    ids: Int[np.ndarray, " n"] | None = None,
+    stamps: Float[np.ndarray, " n"] | None = None,
+    scope: Scope | None = None,
+) -> PoseFile:
+    """What a trajectory's file holds as a map: its poses, and a step from each to the next.
+
+    Args:
+        path: the file.
+        format: its format's name.
+        poses: NumPy-backed Lie `[n]`, in order.
+        line: where each stands.
+        reading: the options of reading; its default sigmas are the steps' standard deviations.
+        ids: of the poses; 0 … n − 1 by default.
+        stamps: seconds of the poses.
+        scope: whose the ids are, where the file says so.
+
+    Raises:
+        FileFormatError: without default sigmas, and for no poses.
+    """
+    group, count = lie.group_of(poses), len(line)
+    if not count:
+        raise FileFormatError(path, None, "no poses, expected a trajectory")
+    information = reading.default_information(group)
+    if information is None:
+        raise FileFormatError(
+            path,
+            int(line[0]),
+            "a trajectory says nothing of its steps' uncertainty; give default_sigmas=(metres,"
+            " radians) (--sigmas M RAD)",
+        )
+    own = np.arange(count) if ids is None else ids
+    order = np.argsort(own, kind="stable")
+    poses, own, line = lie.take(poses, order), own[order], line[order]
+    steps = lie.between(lie.take(poses, slice(None, -1)), lie.take(poses, slice(1, None)))
+    d = lie.tangent_dim(group)
+    return PoseFile(
+        path,
+        group,
+        Lines(own[:, None], np.asarray(lie.parameters(poses)), np.zeros((count, d, d)), line),
+        Lines(
+            np.stack([own[:-1], own[1:]], axis=1),
+            np.asarray(lie.parameters(steps)),
+            np.tile(information, (count - 1, 1, 1)),
+            line[1:],
+        ),
+        format=format,
+        scope=scope,
+        stamps=None if stamps is None else (own, stamps[order]),
+        how="default sigmas, of each step",
+    )
