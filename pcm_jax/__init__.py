@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from pcm_jax.clique import Clique, maximum_clique
     from pcm_jax.consistency import (
         ConsistencyProblem,
+        Evidence,
         PackedGraph,
+        PairEvidence,
         chi2_gate,
         consistency_graph,
         consistency_problem,
@@ -40,7 +42,7 @@ if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
     from pcm_jax.mapping import MapCovariance, Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge_differentiable
-    from pcm_jax.pipeline import merge, select
+    from pcm_jax.pipeline import merge, select, weigh
     from pcm_jax.selection import (
         Selection,
         WithinSelection,
@@ -56,6 +58,7 @@ __all__ = [
     "Clique",
     "ConsistencyProblem",
     "ConvergenceWarning",
+    "Evidence",
     "FileFormatError",
     "InputError",
     "InputWarning",
@@ -64,6 +67,7 @@ __all__ = [
     "MergeResult",
     "MultiRobotGraph",
     "PackedGraph",
+    "PairEvidence",
     "PoseGraph",
     "Selection",
     "Solution",
@@ -92,6 +96,7 @@ __all__ = [
     "sweep",
     "to_gtsam",
     "to_networkx",
+    "weigh",
     "write_g2o",
     "write_trajectory",
 ]
@@ -110,7 +115,9 @@ _NAMES_OF = {
     "mapping": ("MapCovariance", "Solution", "joint_marginal_covariance", "optimize"),
     "consistency": (
         "ConsistencyProblem",
+        "Evidence",
         "PackedGraph",
+        "PairEvidence",
         "chi2_gate",
         "consistency_graph",
         "consistency_problem",
@@ -130,7 +137,7 @@ _NAMES_OF = {
     ),
     "experiments": ("sweep",),
     "merging": ("MergeResult", "merge_differentiable"),
-    "pipeline": ("merge", "select"),
+    "pipeline": ("merge", "select", "weigh"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 

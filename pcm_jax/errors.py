@@ -1,4 +1,4 @@
-"""What the library raises for bad input: one line that says what, where, and what was expected."""
+"""The errors for bad input: one line that says what, where, and what was expected."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.experiments.one_dimensional import METHODS, Setting, select_timed
 from benchmarks.experiments.record import Progress, Steps
 from pcm_jax import InputError
-from pcm_jax.selection import choose
+from pcm_jax.selection import select_from
 
 SIZES = (6, 8, 12, 16, 20, 24, 28, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 SIZES += (768, 1024, 1536, 2048, 3072, 4096)
@@ -79,7 +79,7 @@ def _seconds(method: str, squared: np.ndarray, gate: float, limit: float) -> flo
     options = {"time_limit": _LIMITS_OF_WALL_CLOCK * limit} if method == "pcm-exact" else {}
     start = time.process_time()
     try:
-        choice = choose(squared, gate, method=method, **options)
+        choice = select_from(squared, gate, method=method, with_certificate=True, **options)
     except InputError:
         return None
     seconds = time.process_time() - start

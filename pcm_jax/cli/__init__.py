@@ -1,12 +1,11 @@
 """The command line, `pcm-jax`: parse, call, print.
 
-entry       `main`: runs a command; errors and warnings become lines on standard error
-arguments   the options of all commands
+entry        `main`: runs a command; errors and warnings become lines on standard error
+_arguments   the options of all commands
+_inputs      the graph that the options describe
+_progress    progress on standard error, for work that takes more than two seconds
 demo, merge, inspect, simulate     one module per command, each with a `run(arguments)`
-inputs      the graph that the options describe
-outputs     where results may be written, checked before anything is computed
-progress    what is being done, for work that takes more than two seconds
-table       columns of text
+_outputs     where results may be written, checked before anything is computed
 
 Nothing heavy is imported before a command needs it, so that `--help` answers at once.
 """

@@ -107,16 +107,14 @@ def _merge(commands: Any) -> None:
     merge.add_argument(
         "--confidence",
         type=float,
-        default=0.99,
         metavar="P",
-        help="probability that two right closures pass the gate (default: %(default)s)",
+        help="probability that two right closures pass the gate (default: 0.99)",
     )
     merge.add_argument(
         "--minimum-inliers",
         type=int,
-        default=2,
         metavar="N",
-        help="two robots that accept fewer closures accept none (default: %(default)s)",
+        help="two robots that accept fewer closures accept none (default: 2)",
     )
     merge.add_argument(
         "--time-limit",

@@ -1,4 +1,4 @@
-"""What is being done, on standard error, for work that takes more than two seconds."""
+"""Progress on standard error, for work that takes more than two seconds."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ from types import TracebackType
 
 PATIENCE = 2.0  # seconds of silence
 TICK = 0.5  # seconds between looks at the clock
+DOING = {
+    "optimize": "optimising map {number} of {total}",
+    "consistency": "weighing closures: %",
+    "clique": "selecting closures: pair {number} of {total}",
+    "merge": "merging the maps",
+}
+"""What the library's stages are called here."""
 
 
 class Progress:
@@ -30,10 +37,15 @@ class Progress:
         self._ticker.start()
         return self
 
-    def __call__(self, stage: str) -> None:
-        """Announces the next stage."""
-        self._stage_start = time.monotonic()
-        self._stage = stage
+    def __call__(self, stage: str, done: int = 0, total: int = 0) -> None:
+        """Announces the next stage, or how far one of the library's has come."""
+        if stage in DOING:
+            stage = DOING[stage].format(number=min(done + 1, total), total=total)
+            percent = 100 * done // max(total, 1)
+            stage = stage.replace("%", f"{percent} %")
+        if stage != self._stage:
+            self._stage_start = time.monotonic()
+            self._stage = stage
 
     def __exit__(
         self,

@@ -62,7 +62,7 @@ def merged_both_ways(world: SimulatedWorld, progress: Any = None) -> dict[str, O
 
 
 def description(world: SimulatedWorld) -> str:
-    """What was simulated, in two lines."""
+    """Says in two lines what was simulated."""
     robots = " and ".join(f"{one.name} ({one.num_poses} poses)" for one in world.graph.maps)
     groups = [int((world.labels == k).sum()) for k in range(1, world.labels.max() + 1)]
     return (

@@ -62,13 +62,14 @@ def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
     """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
     from pcm_jax.selection import clean_maps
 
-    limits = {"confidence": options.confidence, "time_limit": options.time_limit}
+    given = {"confidence": options.confidence, "time_limit": options.time_limit}
+    limits = {name: value for name, value in given.items() if value is not None}
     clean, selections = clean_maps(graph, **limits)
     return clean, list(map(_cleaned_row, graph.maps, selections))
 
 
 def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
-    """What was decided of one map; one without a loop has no selection."""
+    """Says what was decided of one map; one without a loop has no selection."""
     rejected = [] if selection is None else (~selection.kept).nonzero()[0].tolist()
     closures = 0 if selection is None else len(selection.closures)
     return {

@@ -56,7 +56,7 @@ def _write_plain(folder: Path, graph: MultiRobotGraph) -> str:
 
 
 def _labels(world: SimulatedWorld, kind: str, arguments: dict[str, Any]) -> dict[str, Any]:
-    """Which closures are true, by their index in the file and in `report.json`."""
+    """Lists the true closures, by their index in the file and in `report.json`."""
     return {
         "world": kind,
         "arguments": arguments,

@@ -1,10 +1,16 @@
-"""Maximum cliques (step iii of the paper): which measurements are pairwise consistent.
+"""Step iii: maximum cliques, which measurements are pairwise consistent. Knows no poses.
 
-Knows graphs only, no poses. `maximum_clique` is the entrance; the modules, in the order in which
-it walks through them: `adjacency` (what is a graph), `bounds` (what cannot matter), `heuristic`
-(a first clique), `local_search` (a larger one), `exact` (a proof), `ties` (which of equals).
-`maximum_clique_batched` does it for many small graphs in one compiled program (`batched`, on the
-machine words of `words`).
+_adjacency      graphs as they are accepted, checked once at the entrance
+_bounds         what cannot matter: degrees and cores
+_heuristic      a first clique, greedily
+_local_search   a larger one
+_exact          a proof, by branch and bound
+_ties           one of several that are equally large
+maximum         `maximum_clique`, which walks through the above
+result          `Clique`, with its certificate
+_bitset         sets of nodes as integers
+_words          sets of nodes as machine words, for kernels
+batched         `maximum_clique_batched`: many small graphs in one compiled program
 """
 
 from pcm_jax.clique.batched import BatchedCliques, maximum_clique_batched

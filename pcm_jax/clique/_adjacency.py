@@ -1,4 +1,4 @@
-"""What the clique algorithms accept as a graph, checked once at the entrance."""
+"""Graphs as the clique algorithms take them, checked once at the entrance."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class BitGraph:
         return found
 
     def uncoloured(self, candidates: int, colours: int) -> int:
-        """What of `candidates` a greedy colouring leaves without one of `colours` colours."""
+        """Finds what of `candidates` a greedy colouring leaves without one of `colours` colours."""
         strangers, single = self.strangers, self.single
         for _ in range(colours):
             eligible = candidates
@@ -91,7 +91,7 @@ class BitGraph:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a search found.
+    """The result of a search.
 
     Attributes:
         labels: a clique larger than the floor, or None if none was found.

@@ -1,4 +1,4 @@
-"""Which of several maximum cliques: by index, or by total squared distance and then by index.
+"""One of several maximum cliques: by index, or by total squared distance and then by index.
 
 By index means the clique whose sorted tuple of vertices is lexicographically the smallest. It is
 settled vertex by vertex: the smallest vertex that some clique of the right size contains, then
@@ -24,7 +24,7 @@ Search = Callable[[list[int], int], list[int] | None]
 
 
 def smallest_by_index(graph: BitGraph, clique: list[int], deadline: float) -> list[int]:
-    """Of all cliques as large as `clique`, the lexicographically smallest.
+    """The lexicographically smallest of all cliques as large as `clique`.
 
     Args:
         graph: the graph; it has no larger clique.
@@ -49,7 +49,7 @@ def smallest_by_index(graph: BitGraph, clique: list[int], deadline: float) -> li
 def smallest_by_total(
     graph: BitGraph, squared: Float[np.ndarray, "n n"], clique: list[int], deadline: float
 ) -> list[int]:
-    """Of all cliques as large as `clique`, the one of least total squared distance, then index.
+    """The clique of least total squared distance, then index, among all as large as `clique`.
 
     Args:
         graph: the graph; it has no larger clique.

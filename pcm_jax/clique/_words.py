@@ -34,7 +34,7 @@ def unpack(sets: UInt[Array, "w *batch"], m: int) -> Bool[Array, "*batch m"]:
 
 
 def some(sets: UInt[Array, "w *batch"]) -> Bool[Array, "*batch"]:
-    """Whether the sets have any member."""
+    """True where the sets have any member."""
     return reduce(jnp.bitwise_or, list(sets)) != 0
 
 
@@ -63,7 +63,7 @@ def single(vertex: Int[Array, "*batch"], like: UInt[Array, "w *batch"]) -> UInt[
 def precedes(
     left: UInt[Array, "w *batch"], right: UInt[Array, "w *batch"]
 ) -> Bool[Array, "*batch"]:
-    """Whether the smallest vertex that is in only one of two sets is in the left one.
+    """True where the smallest vertex that is in only one of two sets is in the left one.
 
     Of sets of equal size, the one that precedes is the lexicographically smaller tuple.
     """

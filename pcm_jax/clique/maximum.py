@@ -30,7 +30,10 @@ def maximum_clique(
     time_limit: float | None = None,
     tie_break: Float[np.ndarray, "m m"] | Float[Array, "m m"] | None = None,
 ) -> Clique:
-    """A maximum clique of a graph.
+    """Finds a maximum clique of a graph, with a certificate.
+
+        clique = pcm_jax.maximum_clique(consistent)
+        clique.members, clique.optimal
 
     The result depends on the graph alone: of several maximum cliques, `"exact"` returns the one
     whose sorted tuple of vertices is lexicographically the smallest ("ties by index"), or, given

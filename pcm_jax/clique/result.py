@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Clique:
     """A clique of a graph with m nodes, with its certificate.
 
@@ -26,3 +26,12 @@ class Clique:
     optimal: bool
     upper_bound: int
     seconds: float
+
+    def __repr__(self) -> str:
+        proof = "proven the largest" if self.optimal else f"none has more than {self.upper_bound}"
+        named = ", ".join(map(str, np.flatnonzero(self.members)[:8].tolist()))
+        return (
+            f"Clique({self.size} of {len(self.members)} nodes)\n"
+            f"  members      {named}{' …' if self.size > 8 else ''}\n"
+            f"  certificate  {proof}, {self.seconds:.2g} s"
+        )

@@ -1,45 +1,57 @@
-"""Step ii of the paper: which pairs of inter-robot closures agree with each other?
+"""Step ii: which pairs of inter-robot closures agree with each other.
 
 Two closures between the same two robots close a loop: out along one, through one map, back along
 the other, and home through the other map. If both are right, the loop's error is what the
-uncertainty of the measurements and of the two maps explains. So, for every pair,
+uncertainty of the measurements and of the two maps explains. The largest set of closures that all
+agree, step iii, is the largest clique of the graph of agreeing pairs.
 
-1. `consistency_problem` gathers on the host what the maps say of the poses the closures touch:
-   where they are, and their joint covariance;
-2. `squared_mahalanobis` weighs each pair's loop error by its covariance (eq. 4 of the paper,
-   squared: what follows a chi-squared distribution);
-3. `chi2_gate` says how large that may be for two right closures;
-4. `consistency_graph` keeps an edge where a pair passes in both directions.
-
-The largest set of closures that all agree, step iii, is the largest clique of that graph.
-
-`within_problem` is step 1 for the loop closures inside one robot's own map, where a closure also
-closes a loop with odometry alone (`squared_own_loops`). `squared_mahalanobis_of` does step 2 for
-any residual of two measurements. `stream_consistency_graph` does 1, 2 and 4 together for tens of
-thousands of closures, whose distances no memory holds.
+_relative           G, the covariance of the differences of poses' errors, in one map
+problem             `consistency_problem`: what Q needs of two maps and the closures between them
+within              the same for the closures inside one robot's own map
+definition          the loop error (eq. 4) by automatic differentiation: the specification
+_closed_form        the same number without a Jacobian, for all pairs in one vectorised loop
+mahalanobis         `squared_mahalanobis`: either of the two, compiled
+_single_precision   what float32 would change
+gate                `chi2_gate`: how large a squared distance two right closures may have
+graph               `consistency_graph`: an edge where a pair passes in both directions
+streaming           all of it for tens of thousands of closures, panel by panel, straight to bits
+evidence            `Evidence`: what every pair of robots' closures say of each other
 """
 
 from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
+from pcm_jax.consistency.evidence import Evidence, PairEvidence
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
 from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops
-from pcm_jax.consistency.problem import ConsistencyProblem, consistency_problem
-from pcm_jax.consistency.streaming import PackedGraph, stream_consistency_graph
+from pcm_jax.consistency.problem import (
+    ConsistencyProblem,
+    consistency_problem,
+    problem_from_covariances,
+)
+from pcm_jax.consistency.streaming import (
+    PackedGraph,
+    stream_consistency_graph,
+    stream_from_covariances,
+)
 from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
 
 __all__ = [
     "ConsistencyProblem",
+    "Evidence",
     "PackedGraph",
+    "PairEvidence",
     "WithinProblem",
     "chi2_gate",
     "consistency_graph",
     "consistency_problem",
     "loop_error",
     "odometry_edges",
+    "problem_from_covariances",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
     "squared_own_loops",
     "stream_consistency_graph",
+    "stream_from_covariances",
     "to_networkx",
     "within_problem",
 ]

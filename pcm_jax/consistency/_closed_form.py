@@ -92,7 +92,7 @@ def closed_form_rows(
 
 
 def _blocks(count: int) -> tuple[int, int]:
-    """How many tiles in a row, and their width: at most `TILE`, and as even as can be."""
+    """The number of tiles in a row, and their width: at most `TILE`, and as even as can be."""
     blocks = -(-count // TILE)
     return blocks, -(-count // blocks)
 

@@ -1,4 +1,4 @@
-"""How much float32 changes squared distances: measured on pairs of the problem at hand.
+"""The change that float32 makes to squared distances, measured on pairs of the problem at hand.
 
 Rounding moves a loop's error by about ε L, L the extent of the maps and ε = 6e-8, and so q by
 ε L / σ, σ the loop's standard deviation: a thousandth of q² when L is some ten thousand σ. Its

@@ -171,7 +171,7 @@ def squared_mahalanobis_of(
     measurements: Any,
     covariances: Float[Array, "m n n"],
 ) -> Float[Array, "m m"]:
-    """Squared Mahalanobis distances of any residual of two measurements.
+    """Computes squared Mahalanobis distances of any residual of two measurements.
 
     `[u, v]` is εᵀ Σ⁻¹ ε of ε = residual(z_u, z_v), with Σ = J_u Σ_u J_uᵀ + J_v Σ_v J_vᵀ by
     automatic differentiation; the diagonal is zero. For measurements x_u of one number on the line:
@@ -192,7 +192,41 @@ def squared_mahalanobis_of(
     """
     _check_sizes(measurements, covariances)
     with lie.own_precision((measurements, covariances)):
-        return _all_pairs_of(residual, measurements, covariances)
+        return _all_pairs_of(_SameCode(residual), measurements, covariances)
+
+
+class _SameCode:
+    """A function that equals every other of the same code that closes over the same objects.
+
+    A lambda written in a loop is a new object each time, and as jit's static argument would be
+    compiled each time. What a function closes over counts by value where it can be hashed.
+    """
+
+    def __init__(self, function: Callable[..., Any]):
+        self._function = function
+        code = getattr(function, "__code__", None)
+        if code is None:  # a callable object: itself alone
+            self._key: Any = (function,)
+            return
+        cells = (cell.cell_contents for cell in function.__closure__ or ())
+        given = (*cells, *(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items())
+        self._kept = given  # so that no other object takes an id among the key's
+        parts = tuple(x if _is_plain(x) else id(x) for x in given)
+        self._key = (code, id(function.__globals__), parts)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._function(*arguments)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _SameCode) and self._key == other._key
+
+
+def _is_plain(value: Any) -> bool:
+    """True for what equals another by value and cannot change."""
+    return isinstance(value, int | float | str | bytes | bool | type | None)
 
 
 def _check_sizes(measurements: Any, covariances: Any) -> None:

@@ -17,7 +17,9 @@ ITERATIONS = 12
 
 
 def chi2_gate(confidence: Any, dof: Any) -> Float[Array, "*batch"]:
-    """γ²: a right pair's squared distance lies below it with probability `confidence`.
+    """Computes γ²: a right pair's squared distance is below it with probability `confidence`.
+
+        pcm_jax.chi2_gate(0.99, dof=3)  # 11.34…
 
     The quantile of the chi-squared distribution. `confidence` is the probability *inside* the gate:
     the paper's "11 % likelihood" is 0.11.

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 
 def consistency_graph(squared: Float[Array, "*batch m m"], gate: Any) -> Bool[Array, "*batch m m"]:
-    """Adjacency matrix: closures u and v agree if q²_uv and q²_vu are both within the gate.
+    """Makes the adjacency matrix: u and v agree if q²_uv and q²_vu are both within the gate.
+
+        consistent = pcm_jax.consistency_graph(squared, pcm_jax.chi2_gate(0.99, dof=3))
+        pcm_jax.maximum_clique(consistent).members
 
     Args:
         squared: squared distances, `[u, v]` not necessarily equal to `[v, u]`. NaN agrees with
@@ -47,7 +50,9 @@ def _within_both_ways(squared: Any, gate: Any, xp: Any) -> Any:
 def to_networkx(
     graph: Bool[Array, "m m"], squared: Float[Array, "m m"] | None = None
 ) -> nx.Graph[int]:
-    """The consistency graph as a networkx graph, nodes 0 … m − 1.
+    """Makes a networkx graph of the consistency graph, nodes 0 … m − 1.
+
+        networkx.density(pcm_jax.to_networkx(consistent, squared))
 
     Args:
         graph: adjacency matrix, see `consistency_graph`.

@@ -112,7 +112,10 @@ def squared_mahalanobis(
     kernel: str = "closed-form",
     mesh: Mesh | None = None,
 ) -> Float[Array, "m m"]:
-    """Squared Mahalanobis distance of the loop error of every ordered pair (paper, eq. 4).
+    """Computes the squared Mahalanobis distance of every ordered pair's loop (paper, eq. 4).
+
+        squared = pcm_jax.squared_mahalanobis(problem)
+        consistent = pcm_jax.consistency_graph(squared, pcm_jax.chi2_gate(0.99, dof=3))
 
     `[u, v]` is q²_uv, not symmetrised; the diagonal is zero. For closures that are both right it
     follows a chi-squared distribution with d degrees of freedom: see `chi2_gate`.

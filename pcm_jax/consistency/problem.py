@@ -1,4 +1,4 @@
-"""What Q needs to know of two maps and the closures between them: host code, float64.
+"""The input of Q: two maps and the closures between them. Host code, float64.
 
 A closure u measures pose k of map b from pose i of map a. Q depends on the maps only through the
 poses that closures touch and through the covariance of the *differences* of their errors,
@@ -8,36 +8,36 @@ poses that closures touch and through the covariance of the *differences* of the
 The errors are left perturbations in the map's frame, `exp(ξ_i) X_i`, so that ξ_j − ξ_i is what
 moves pose j against pose i, and an error common to the whole map (the choice of a gauge) cancels.
 G is built here, in float64, because it is a small difference of large numbers. For the same reason
-each map's origin is first moved to the mean of its touched poses, which changes no q.
+each map's origin is first moved to its middle (`MapCovariance.origin`), which changes no q, and
+does not move when a closure touches another pose.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import bucket, device_array, on_host, pad_leading, shareable_zeros
+from pcm_jax.arrays import bucket, device_array, on_host, pad_leading
+from pcm_jax.consistency._relative import checked_joint, relative_covariance
 from pcm_jax.errors import InputError, InputWarning
-from pcm_jax.lie import unrolled
+from pcm_jax.mapping import MapCovariance
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
 
-ROWS_AT_ONCE = 16  # of G, so that what one step needs stays in a cache
-SYMMETRY_TOLERANCE = 1e-6  # of the largest entry
-TILE = 256
 # Up to 64 closures cost under a millisecond, padding included; from 256 its memory matters.
 SMALLEST_PADDED, FINE_ABOVE = 64, 256
 
 
 @jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class ConsistencyProblem:
     """The closures between two robots, and the uncertainty of the maps they join.
 
@@ -48,7 +48,7 @@ class ConsistencyProblem:
         measurement: Lie `[m]`, z_u: pose b seen from pose a.
         measurement_covariance: `[m, d, d]` of δ in z exp(δ); m², m rad, rad².
         pose_a: Lie `[m]`, the optimised pose in map a that each closure starts at, in the frame of
-            map a with its origin moved to the mean of the touched poses.
+            map a with its origin moved to the map's middle.
         pose_b: Lie `[m]`, the one in map b that each closure ends at, likewise.
         row_a: int32 `[m]`, the row of that pose in `relative_covariance_a`.
         row_b: int32 `[m]`, likewise.
@@ -68,6 +68,19 @@ class ConsistencyProblem:
     relative_covariance_a: Float[Array, "packed ka ka"]
     relative_covariance_b: Float[Array, "packed kb kb"]
     valid: Bool[Array, " m"]
+
+    def __repr__(self) -> str:
+        group = type(self.measurement).__name__
+        padded = getattr(self.valid, "shape", ("?",))[-1]
+        count = padded if isinstance(self.valid, Tracer) else int(np.sum(np.asarray(self.valid)))
+        sides = self.relative_covariance_a, self.relative_covariance_b
+        rows = ", ".join(str(getattr(side, "shape", ("?",))[-1]) for side in sides)
+        dtype = getattr(self.measurement_covariance, "dtype", "?")
+        return (
+            f"ConsistencyProblem({group}, {count} closures)\n"
+            f"  padded  {padded} closures; {rows} poses of map a, b\n"
+            f"  dtype   {dtype}"
+        )
 
     @on_host
     def astype(self, dtype: Any) -> ConsistencyProblem:
@@ -118,6 +131,10 @@ def consistency_problem(
 ) -> ConsistencyProblem:
     """Gathers what Q needs of two optimised maps and the closures between them.
 
+        maps = [pcm_jax.optimize(one).graph for one in graph.maps]
+        closures, indices = graph.closures.between(0, 1)
+        squared = pcm_jax.squared_mahalanobis(pcm_jax.consistency_problem(*maps, closures))
+
     Args:
         map_a: the optimised map of the robot that the closures start at.
         map_b: the optimised map of the robot that they end at.
@@ -141,11 +158,27 @@ def consistency_problem(
         InputError: for closures of several robot pairs, a pose that a map does not have, groups
             that differ, or marginals of a wrong shape, not finite or not symmetric.
     """
-    group = check_pair(map_a, map_b, closures)
-    side_a, side_b = marginals if marginals is not None else (None, None)
-    a = _one_map(map_a, np.asarray(closures.pose_a), side_a, "marginals[0]")
-    b = _one_map(map_b, np.asarray(closures.pose_b), side_b, "marginals[1]")
-    count = len(lie.parameters(closures.measurement))
+    if marginals is None:
+        return problem_from_covariances(MapCovariance(map_a), MapCovariance(map_b), closures)
+    check_pair(map_a, map_b, closures)
+    a = _given(map_a, np.asarray(closures.pose_a), marginals[0], "marginals[0]")
+    b = _given(map_b, np.asarray(closures.pose_b), marginals[1], "marginals[1]")
+    return _problem(closures, a, b)
+
+
+@on_host
+def problem_from_covariances(
+    covariance_a: MapCovariance, covariance_b: MapCovariance, closures: LoopClosures
+) -> ConsistencyProblem:
+    """Gathers what Q needs, see `consistency_problem`, of maps that are factorised already."""
+    check_pair(covariance_a.pose_graph, covariance_b.pose_graph, closures)
+    a = _asked(covariance_a, np.asarray(closures.pose_a))
+    b = _asked(covariance_b, np.asarray(closures.pose_b))
+    return _problem(closures, a, b)
+
+
+def _problem(closures: LoopClosures, a: _OneMap, b: _OneMap) -> ConsistencyProblem:
+    group, count = closures.group, len(closures)
     size = padded_size(count, closures=count)
     covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
     if count == 0:
@@ -173,22 +206,49 @@ class _OneMap:
     relative_covariance: np.ndarray
 
 
-def _one_map(pose_graph: PoseGraph, touching: np.ndarray, joint: Any, name: str) -> _OneMap:
-    poses = lie.as_numpy(pose_graph.poses)
-    touched, first, rows = np.unique(touching, return_index=True, return_inverse=True)
-    moved = recentred(lie.take(poses, touched))
-    if joint is not None:
-        joint = _checked_joint(joint, len(touched) * lie.tangent_dim(poses), name)
-    elif len(touched):
-        from pcm_jax.mapping import joint_marginal_covariance
+class _Touched(NamedTuple):
+    """The poses of a map that closures touch.
 
-        joint = joint_marginal_covariance(pose_graph, touched)
-    # In the order of first use, neighbouring closures read neighbouring rows of G.
+    In the order of first use, neighbouring closures read neighbouring rows of G.
+
+    Attributes:
+        poses: `[k]`, ascending.
+        order: `[k]`, which of them each row of G stands for.
+        rows: `[m]`, the row of each closure's pose.
+        size: rows of G, padded.
+    """
+
+    poses: Int[np.ndarray, " k"]
+    order: Int[np.ndarray, " k"]
+    rows: Int[np.ndarray, " m"]
+    size: int
+
+
+def _touched(touching: Int[np.ndarray, " m"]) -> _Touched:
+    poses, first, index = np.unique(touching, return_index=True, return_inverse=True)
     order = np.argsort(first)
-    position = np.argsort(order)
-    size = padded_size(len(touched), closures=len(touching))
-    covariance = relative_covariance(moved, joint, order, size)
-    return _OneMap(lie.take(moved, rows), position[rows], covariance)
+    size = padded_size(len(poses), closures=len(touching))
+    return _Touched(poses, order, np.argsort(order)[index], size)
+
+
+def _asked(covariance: MapCovariance, touching: Int[np.ndarray, " m"]) -> _OneMap:
+    """A map's share of a problem, by its own covariance, which needs no check."""
+    touched = _touched(touching)
+    joint = covariance.joint(touched.poses[touched.order], side="left")
+    relative = relative_covariance(joint, None, np.arange(len(touched.order)), touched.size)
+    return _OneMap(lie.take(covariance.frame, touching), touched.rows, relative)
+
+
+def _given(
+    pose_graph: PoseGraph, touching: Int[np.ndarray, " m"], joint: Any, name: str
+) -> _OneMap:
+    """A map's share of a problem, by the joint covariance that a user gives."""
+    touched, frame = _touched(touching), recentred(lie.as_numpy(pose_graph.poses))
+    size = len(touched.poses) * pose_graph.tangent_dim
+    joint = checked_joint(joint, size, name)
+    adjoint = np.asarray(lie.adjoint(lie.take(frame, touched.poses)))
+    relative = relative_covariance(joint, adjoint, touched.order, touched.size)
+    return _OneMap(lie.take(frame, touching), touched.rows, relative)
 
 
 def bytes_needed(closures: LoopClosures) -> float:
@@ -210,43 +270,13 @@ def padded_size(rows: int, *, closures: int) -> int:
 
 
 def recentred(poses: Any, about: Any = slice(None)) -> Any:
-    """NumPy-backed poses `[n]`, the mean position of those indexed by `about` as their origin."""
+    """NumPy-backed poses `[n]`, the mean position of those in `about` as their origin."""
     values = np.array(lie.parameters(poses))
     space = lie.module_of(lie.group_of(poses)).MATRIX_DIM - 1
     middle = values[about, -space:]
     if len(middle):
         values[:, -space:] -= middle.mean(axis=0)
     return lie.group_of(poses)(values)
-
-
-def relative_covariance(
-    poses: Any, joint: Any, order: np.ndarray, size: int
-) -> Float[np.ndarray, "packed size size"]:
-    """G of a set of poses, packed, from the joint covariance of their right perturbations.
-
-    Args:
-        poses: NumPy-backed Lie `[k]`, in the frame that G is wanted in.
-        joint: float64 `[k·d, k·d]`, right perturbations.
-        order: permutation `[k]`, the pose that each row of G stands for.
-        size: rows of the result, at least k; those beyond k are zero.
-    """
-    k, d = len(order), lie.tangent_dim(poses)
-    packed = shareable_zeros((d * (d + 1) // 2, size, size))
-    if k == 0:
-        return packed
-    adjoint = np.asarray(lie.adjoint(lie.take(poses, order)))
-    transposed = adjoint.swapaxes(1, 2)
-    blocks = joint.reshape(k, d, k, d)
-    own = adjoint @ blocks[order, :, order] @ transposed
-    for start in range(0, k, ROWS_AT_ONCE):
-        rows = slice(start, min(start + ROWS_AT_ONCE, k))
-        left = adjoint[rows] @ blocks[order[rows]].reshape(-1, d, k * d)
-        left = left.reshape(-1, k, d)[:, order].swapaxes(0, 1) @ transposed
-        cross = left.reshape(k, -1, d, d)  # [j, i]: Ad_i Σ_ij Ad_jᵀ
-        for entry, (r, c) in enumerate(unrolled.packed_indices(d)):
-            both = (cross[:, :, r, c] + cross[:, :, c, r]).T
-            packed[entry, rows, :k] = own[rows, r, c][:, None] + own[:, r, c] - both
-    return packed
 
 
 def padded(transforms: Any, size: int) -> Any:
@@ -296,32 +326,3 @@ def _check_indices(indices: np.ndarray, count: int, argument: str) -> None:
             f"closures.{argument}[{outside[0]}]: pose {indices[outside[0]]} is not in the map; "
             f"expected 0 to {count - 1}"
         )
-
-
-def _checked_joint(joint: Any, size: int, name: str) -> np.ndarray:
-    joint = np.asarray(joint, dtype=np.float64)
-    if joint.shape != (size, size):
-        raise InputError(
-            f"{name}: shape {joint.shape}; expected {(size, size)}, a block for each touched pose"
-        )
-    largest = joint.max(initial=0.0)
-    if not np.isfinite([largest, joint.min(initial=0.0)]).all():  # NaN is the extreme of any array
-        row, column = np.argwhere(~np.isfinite(joint))[0]
-        raise InputError(f"{name}[{row}, {column}]: {joint[row, column]}; expected finite numbers")
-    _check_symmetric(joint, SYMMETRY_TOLERANCE * largest, name)
-    return joint
-
-
-def _check_symmetric(joint: np.ndarray, tolerance: float, name: str) -> None:
-    """By square tiles, since one of a matrix and its transpose is read across the cache."""
-    tiles = [slice(start, start + TILE) for start in range(0, len(joint), TILE)]
-    for rows in tiles:
-        for columns in tiles[: rows.start // TILE + 1]:
-            skew = np.abs(joint[rows, columns] - joint[columns, rows].T)
-            if skew.max() > tolerance:
-                i, j = np.unravel_index(np.argmax(skew), skew.shape)
-                i, j = int(i) + rows.start, int(j) + columns.start
-                raise InputError(
-                    f"{name}[{i}, {j}]: {joint[i, j]} differs from {joint[j, i]} across the "
-                    "diagonal; expected a symmetric matrix"
-                )

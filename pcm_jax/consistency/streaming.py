@@ -7,7 +7,7 @@ mirror image), and of either map needs only the columns
 
     Σ_ij,  i touched by any u, j touched by some v of the panel,
 
-found from the sparse factor of H by substitution (`mapping.inverse_columns`). Left perturbations
+found from the sparse factor of H by substitution (`MapCovariance.columns`). Left perturbations
 come at no price: the right-hand sides are Ad(X_j)ᵀ, what is left is a product with Ad(X_i) from the
 left. Then, as in `problem` and `closed_form`,
 
@@ -35,9 +35,11 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from pcm_jax import lie
 from pcm_jax.arrays import device_array, on_host, pad_leading, shareable_zeros
 from pcm_jax.consistency._closed_form import gather, per_closure, weigh
-from pcm_jax.consistency.problem import check_pair, padded, recentred
+from pcm_jax.consistency.problem import check_pair, padded
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
+from pcm_jax.mapping import MapCovariance
+from pcm_jax.mapping.covariance import CovarianceColumns
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
@@ -47,7 +49,7 @@ ROWS_AT_ONCE = 64  # of G on the host, so that what one step needs stays in a ca
 UNPACKED_AT_ONCE = 512  # rows of bits as bytes
 FORMAT = 1  # of the files
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[str, int, int], None]
 
 
 class PackedGraph(NamedTuple):
@@ -62,13 +64,22 @@ class PackedGraph(NamedTuple):
     bits: UInt8[np.ndarray, "m bytes"]
     count: int
 
+    def __repr__(self) -> str:
+        edges = int(self.degree.sum()) // 2
+        pairs = max(self.count * (self.count - 1) // 2, 1)
+        return (
+            f"PackedGraph({self.count} closures)\n"
+            f"  agreeing pairs  {edges} ({100.0 * edges / pairs:.3g} %)\n"
+            f"  memory          {self.bits.nbytes / 1e6:.3g} MB"
+        )
+
     def dense(self) -> Bool[np.ndarray, "m m"]:
         """As `consistency_graph` returns it; m² bytes."""
         return np.unpackbits(self.bits, axis=1, count=self.count).view(np.bool_)
 
     @property
     def degree(self) -> Int[np.ndarray, " m"]:
-        """How many others each closure agrees with."""
+        """The number of others that each closure agrees with."""
         return np.bitwise_count(self.bits).sum(axis=1, dtype=np.int64)
 
 
@@ -83,7 +94,10 @@ def stream_consistency_graph(
     progress: Progress | None = None,
     panel: int = 128,
 ) -> PackedGraph:
-    """The consistency graph of two maps' closures, without Q and without a joint marginal.
+    """Makes the consistency graph of two maps' closures without Q and without a joint marginal.
+
+        graph = pcm_jax.stream_consistency_graph(*maps, closures, gate, folder="panels")
+        pcm_jax.maximum_clique(graph.dense())
 
     The same bits as `consistency_graph(squared_mahalanobis(consistency_problem(...)), gate)`, but
     for squared distances that equal the gate to rounding. Time grows with m², and with m times the
@@ -98,7 +112,7 @@ def stream_consistency_graph(
             the result depends on. A call with equal arguments goes on from what is there: a kill
             costs the panel on the device and what was prepared of the next. Other calls may share
             the folder. Files are left there.
-        progress: called with the pairs done and the pairs in all after each panel.
+        progress: called with "consistency", the pairs done and the pairs in all after each panel.
         panel: closures at a time, a multiple of 64.
 
     Returns:
@@ -108,15 +122,39 @@ def stream_consistency_graph(
         InputError: for closures of several robot pairs, a pose that a map does not have, groups
             that differ, a singular map, a gate that is not a number, or another `panel`.
     """
+    return stream_from_covariances(
+        MapCovariance(map_a),
+        MapCovariance(map_b),
+        closures,
+        gate,
+        folder=folder,
+        progress=progress,
+        panel=panel,
+    )
+
+
+@on_host
+def stream_from_covariances(
+    covariance_a: MapCovariance,
+    covariance_b: MapCovariance,
+    closures: LoopClosures,
+    gate: float,
+    *,
+    folder: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    panel: int = 128,
+) -> PackedGraph:
+    """The same as `stream_consistency_graph`, of maps that are factorised already."""
     _check_numbers(gate, panel)
+    map_a, map_b = covariance_a.pose_graph, covariance_b.pose_graph
     check_pair(map_a, map_b, closures)
-    count = len(lie.parameters(closures.measurement))
+    count = len(closures)
     order = np.lexsort((np.asarray(closures.pose_b), np.asarray(closures.pose_a)))
     panels = [Panel(start, min(start + panel, count), count) for start in range(0, count, panel)]
     store = _Store(folder, lambda: _stamp(map_a, map_b, closures, gate, panel))
     kept = {part: bits for part in panels if (bits := store.read(part)) is not None}
     missing = [part for part in panels if part not in kept]
-    fresh = _computed(map_a, map_b, closures[order], gate, missing, panel)
+    fresh = _computed(covariance_a, covariance_b, closures[order], gate, missing, panel)
     bits, done = np.zeros((count, -(-count // 8)), np.uint8), 0
     for part in panels:
         within = kept.get(part)
@@ -126,7 +164,7 @@ def stream_consistency_graph(
         _insert(bits, part, within)
         done += part.pairs
         if progress is not None:
-            progress(done, count * (count - 1) // 2)
+            progress("consistency", done, count * (count - 1) // 2)
     return PackedGraph(_in_given_order(bits, order), count)
 
 
@@ -146,7 +184,7 @@ class Panel(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of its bits."""
+        """The shape of its bits."""
         return self.count - self.start, -(-(self.stop - self.start) // 8)
 
     @property
@@ -176,8 +214,8 @@ def _in_given_order(bits: np.ndarray, order: np.ndarray) -> UInt8[np.ndarray, "m
 
 
 def _computed(
-    map_a: PoseGraph,
-    map_b: PoseGraph,
+    covariance_a: MapCovariance,
+    covariance_b: MapCovariance,
     closures: LoopClosures,
     gate: float,
     panels: Sequence[Panel],
@@ -187,8 +225,8 @@ def _computed(
     if not panels:
         return
     module = lie.module_of(closures.group)
-    side_a = _Side(map_a, np.asarray(closures.pose_a), width)
-    side_b = _Side(map_b, np.asarray(closures.pose_b), width)
+    side_a = _Side(covariance_a, np.asarray(closures.pose_a), width)
+    side_b = _Side(covariance_b, np.asarray(closures.pose_b), width)
     rows = -(-panels[0].count // width) * width
     placed = _on_device(closures, side_a, side_b, rows)
     running: Any = None
@@ -234,54 +272,42 @@ class _Side:
     always what comes last.
 
     Args:
-        pose_graph: the map.
+        covariance: of the map.
         touching: `[m]` the pose that each closure touches.
         width: closures in a panel.
     """
 
-    def __init__(self, pose_graph: PoseGraph, touching: Int[np.ndarray, " m"], width: int):
-        from pcm_jax.mapping.marginals import covariance_factor
-        from pcm_jax.sparse.inverse import inverse_diagonal
-
+    def __init__(self, covariance: MapCovariance, touching: Int[np.ndarray, " m"], width: int):
         touched, from_end, index = np.unique(touching[::-1], return_index=True, return_inverse=True)
         by_last_use = np.argsort(-from_end)
-        self._touched, self._width = touched[by_last_use], width
+        self._covariance, self._width = covariance, width
+        self._touched = touched[by_last_use]
         self.row = np.argsort(by_last_use)[index[::-1]]
         starts = range(0, len(touching), width)
         self._most = max(len(np.unique(self.row[start : start + width])) for start in starts)
-        poses = recentred(lie.as_numpy(pose_graph.poses), touched)
-        self.poses = lie.take(poses, touching)
-        self._adjoint = np.asarray(lie.adjoint(lie.take(poses, self._touched)))
-        # The first pose is held: certain, and tied to none.
-        self._adjoint_if_free = self._adjoint * (self._touched != 0)[:, None, None]
-        self._factor = covariance_factor(pose_graph)
-        own = inverse_diagonal(self._factor, self._touched)
-        own = self._adjoint_if_free @ own @ self._adjoint.swapaxes(1, 2)
+        self.poses = lie.take(covariance.frame, touching)
+        own = covariance.diagonal(self._touched, side="left")
         self._own = np.stack([own[:, i, j] for i, j in unrolled.packed_indices(own.shape[1])])
 
     def columns(self, panel: Panel) -> _Columns:
-        """What the panel's pairs need of this map, on the device."""
-        from pcm_jax.sparse.inverse import inverse_columns
-
+        """Puts what the panel's pairs need of this map on the device."""
         rows, column = np.unique(self.row[panel.start : panel.stop], return_inverse=True)
-        right = self._adjoint_if_free[rows].swapaxes(1, 2)
-        solution = inverse_columns(self._factor, self._touched[rows], right)
+        solution = self._covariance.columns(self._touched[rows], side="left")
         column = pad_leading(column, self._width)
         first = int(self.row[panel.start :].min())
         packed = self._relative_covariance(solution, rows, first)
         return _Columns(device_array(packed), device_array(column, np.int32))
 
     def _relative_covariance(
-        self, solution: Float[np.ndarray, "n d d c"], columns: np.ndarray, first: int
+        self, solution: CovarianceColumns, columns: np.ndarray, first: int
     ) -> Float[np.ndarray, "packed k most"]:
-        """G of the rows from `first` on, from columns of right-by-left covariances."""
-        position = self._factor.plan.position[self._touched]
-        k, d, count = len(position), solution.shape[1], len(columns)
+        """G of the rows from `first` on, from columns of left covariances."""
+        k, count = len(self._touched), len(columns)
         packed = shareable_zeros((len(self._own), k, self._most))
+        d = self._covariance.pose_graph.tangent_dim
         for start in range(first, k, ROWS_AT_ONCE):
             rows = slice(start, min(start + ROWS_AT_ONCE, k))
-            right = solution[position[rows]].reshape(-1, d, d * count)
-            cross = (self._adjoint[rows] @ right).reshape(-1, d, d, count)
+            cross = solution.rows(self._touched[rows], side="left")
             for entry, (i, j) in enumerate(unrolled.packed_indices(d)):
                 own = self._own[entry, rows, None] + self._own[entry, columns]
                 packed[entry, rows, :count] = own - (cross[:, i, j] + cross[:, j, i])
@@ -289,7 +315,7 @@ class _Side:
 
 
 class _Closures(NamedTuple):
-    """What `per_closure` needs."""
+    """The closures as `per_closure` takes them."""
 
     measurement: Any
     measurement_covariance: Float[Array, "m d d"]
@@ -318,7 +344,7 @@ def _within_gate(
     bounds: Int[Array, "2"],
     gate: Float[Array, ""],
 ) -> Bool[Array, "m width"]:
-    """Which u agree with each v of a panel; false before the panel's own rows."""
+    """Finds which u agree with each v of a panel; false before the panel's own rows."""
     start, count = bounds
     width = side_a.column.shape[0]
     v = start + jnp.arange(width)

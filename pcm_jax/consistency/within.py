@@ -1,4 +1,4 @@
-"""What Q needs to know of one robot's odometry and the loop closures inside its map: host, float64.
+"""The input of Q inside one map: odometry and the loop closures. Host, float64.
 
 Closure u measures pose k from an earlier pose i of the same robot, so that all four poses of a
 pair's loop come from one map and their errors correlate. The map here is the odometry chain alone,

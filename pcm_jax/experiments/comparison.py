@@ -16,7 +16,6 @@ from jaxtyping import Bool
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.consistency import chi2_gate
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.evaluation.metrics import (
     false_positive_rate,
@@ -27,9 +26,8 @@ from pcm_jax.evaluation.metrics import (
     true_positive_rate,
 )
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.pipeline import merge, select
-from pcm_jax.selection import PairSelection, choose
-from pcm_jax.selection.methods import ALL_METHODS
+from pcm_jax.pipeline import merge, select, weigh
+from pcm_jax.selection import METHODS
 
 REFERENCE = "no-outliers"
 
@@ -38,13 +36,14 @@ class Method(NamedTuple):
     """A row of a comparison.
 
     Attributes:
-        name: a method of `merge`; "all", every closure accepted; or "true", the right ones only.
+        name: a method of `merge`, by name or as a function; "all", every closure accepted; or
+            "true", the right ones only.
         confidence: of its gate.
         options: the method's own, as (name, value) pairs.
         true_start: whether a robust method starts from the true alignment of the maps.
     """
 
-    name: str
+    name: Any
     confidence: float = 0.99
     options: tuple[tuple[str, Any], ...] = ()
     true_start: bool = False
@@ -78,6 +77,11 @@ BEYOND_THE_PAPER: dict[str, Method] = {
     "everything": Method("all"),
 }
 """What users meet elsewhere. `dcs-true-start` is told the true alignment of the maps."""
+
+
+def _selects(method: Method) -> bool:
+    """Whether a method selects from the evidence, a function of one's own included."""
+    return callable(method.name) or method.name in METHODS
 
 
 class Compared(NamedTuple):
@@ -181,15 +185,12 @@ class _Bench:
         minimum_inliers: int,
         engine: str,
     ):
-        # Any selection computes Q, and this is the cheapest.
-        first = select(graph, method="ransac", optimized=optimized)
-        self.graph, self.pairs = MultiRobotGraph(first.maps, graph.closures), first.pairs
+        self.evidence = weigh(graph, optimized=optimized, memory_limit=np.inf)
+        self.graph = self.evidence.optimized
         self.is_true, self.truth = is_true, truth
         self.minimum_inliers, self.engine = minimum_inliers, engine
         self.selected = {
-            label: self._selected(method)
-            for label, method in rows.items()
-            if method.name in ALL_METHODS
+            label: self._selected(method) for label, method in rows.items() if _selects(method)
         }
         chosen = [each.accepted for each in self.selected.values()]
         self.room = np.any([is_true, *chosen], axis=0)
@@ -197,7 +198,7 @@ class _Bench:
         self.reference = self._merged(is_true)
 
     def result(self, label: str, method: Method) -> Compared:
-        if method.name in ALL_METHODS:
+        if _selects(method):
             accepted, selecting = self.selected[label]
             merged = self._merged(accepted)
         elif method.name in ("true", "all"):
@@ -212,22 +213,22 @@ class _Bench:
 
     def _selected(self, method: Method) -> _Selected:
         start = time.perf_counter()
-        gate = float(chi2_gate(method.confidence, self.graph.tangent_dim))
-        accepted = np.zeros_like(self.is_true)
-        for pair in self.pairs:
-            accepted[pair.closures] = self._of_pair(pair, gate, method)
-        return _Selected(accepted, time.perf_counter() - start)
-
-    def _of_pair(self, pair: PairSelection, gate: float, method: Method) -> np.ndarray:
-        members = choose(pair.squared, gate, method=method.name, **dict(method.options)).members
-        return members & (np.count_nonzero(members) >= self.minimum_inliers)
+        chosen = select(
+            self.evidence,
+            method=method.name,
+            confidence=method.confidence,
+            minimum_inliers=self.minimum_inliers,
+            **dict(method.options),
+        )
+        return _Selected(chosen.accepted, time.perf_counter() - start)
 
     def _merged(self, accepted: np.ndarray) -> Any:
         key = accepted.tobytes()
         if key not in self.merges:
-            options = {"optimized": True, "engine": self.engine}
             room = self.room if not np.any(accepted & ~self.room) else None
-            self.merges[key] = merge(self.graph, accepted=accepted, room_for=room, **options)
+            self.merges[key] = merge(
+                self.evidence, accepted=accepted, room_for=room, engine=self.engine
+            )
         return self.merges[key]
 
     def _robust(self, method: Method) -> Any:
@@ -235,10 +236,9 @@ class _Bench:
         if method.true_start:
             options["anchors"] = self._true_anchors()
         return merge(
-            self.graph,
+            self.evidence,
             method=method.name,
             confidence=method.confidence,
-            optimized=True,
             engine=self.engine,
             **options,
         )

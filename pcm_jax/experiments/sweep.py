@@ -29,7 +29,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.evaluation.metrics import false_positive_rate, precision, true_positive_rate
 from pcm_jax.experiments._sweep_files import SweepFiles
 from pcm_jax.selection import select_batched
-from pcm_jax.selection.batched import KERNELS
+from pcm_jax.selection.batched import kernel_of
 from pcm_jax.simulation import simulate_chains
 from pcm_jax.simulation.world import require_positive
 
@@ -283,8 +283,7 @@ def _columns(
 
 def _grid(methods: Sequence[str], confidences: Sequence[float], world: dict[str, Any]) -> Grid:
     for method in methods:
-        if method not in KERNELS:
-            raise InputError(f"methods: {method!r}, expected some of {', '.join(KERNELS)}")
+        kernel_of(method, "methods")
     if not len(methods) or not len(confidences):
         raise InputError("methods, confidences: expected one of each at least")
     parameters = inspect.signature(simulate_chains).parameters.values()

@@ -1,4 +1,15 @@
-"""Pose graphs of one and of several robots, and the checks on what users pass."""
+"""Pose graphs of one and of several robots, in NumPy, and the checks on what users pass.
+
+checked         poses, measurements and uncertainty as users may pass them
+validation      the checks themselves, which name their first culprit
+symbols         GTSAM's symbol keys
+spanning_tree   poses by composing measurements along a tree; connectedness
+pose_graph      `PoseGraph`: one robot's map
+loop_closures   `LoopClosures`: measurements between robots
+multi_robot     `MultiRobotGraph`: maps and the closures between them
+split           one trajectory cut into several robots' maps
+padded          graphs of different sizes filled up to one
+"""
 
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph

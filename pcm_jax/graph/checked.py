@@ -1,4 +1,4 @@
-"""What a user may pass for poses, measurements and their uncertainty, as checked NumPy arrays."""
+"""Poses, measurements and their uncertainty as a user may pass them, checked, in NumPy."""
 
 from __future__ import annotations
 

@@ -19,6 +19,8 @@ from pcm_jax.graph.spanning_tree import check_connected
 def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
     """Cuts a pose graph before each of the poses `at`, into robots a, b, c and so on.
 
+        sessions = pcm_jax.split(pcm_jax.read_graph("trajectory.g2o").maps[0], [150])
+
     Edges inside a piece stay in its map; edges between pieces become loop closures, in the graph's
     order and orientation; edges between the two poses next to a cut (the odometry) are dropped.
     Poses, ids and sources are kept; the pieces' poses remain in the graph's frame.

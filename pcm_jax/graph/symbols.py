@@ -37,7 +37,7 @@ def labels_of(ids: Int[np.ndarray, " *n"]) -> Int[np.ndarray, " *n"]:
 
 
 def are_symbols(ids: Int[np.ndarray, " n"]) -> bool:
-    """Whether there are ids and every one of them is a symbol key."""
+    """True if there are ids and every one of them is a symbol key."""
     return bool(len(ids)) and bool((letters_of(ids) > 0).all())
 
 

@@ -128,7 +128,7 @@ def unit_rotations(
 
 
 def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, " m"]:
-    """Which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
+    """Finds which of the symmetric `[m, d, d]` have a Cholesky factor: bool `[m]`."""
     rest = np.array(matrices, dtype=np.float64)
     good = np.ones(len(rest), bool)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not definite

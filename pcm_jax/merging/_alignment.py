@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from pcm_jax import lie
+from pcm_jax.arrays import namespace
 from pcm_jax.graph import MultiRobotGraph
 
 MOST_COMPARED = 256
@@ -56,13 +57,31 @@ def _relative_anchor(graph: MultiRobotGraph, a: int, b: int, closures: Any) -> A
     measured = lie.compose(from_a, lie.as_numpy(closures.measurement))
     placements = lie.compose(measured, lie.inverse(from_b))
     compared = lie.take(placements, slice(0, MOST_COMPARED))
-    # Distances between the images of map b's touched poses, not between distant origins.
-    touched = lie.translation(from_b)
-    centre = touched.mean(axis=0)
-    matrices = np.asarray(lie.as_matrix(compared))
-    where = matrices[:, :-1, :-1] @ centre + matrices[:, :-1, -1]
-    extent = 1.0 + np.linalg.norm(np.ptp(touched, axis=0))
-    turned = extent * matrices[:, :-1, :-1].reshape(len(matrices), -1)
-    features = np.concatenate([where, turned], axis=1)
-    distance = np.linalg.norm(features[:, None] - features[None], axis=2)
-    return lie.take(compared, int(np.argmin(distance.sum(axis=1))))
+    seen = lie.translation(from_b)[:MOST_COMPARED]
+    cost = medoid_costs(lie.as_matrix(compared), seen, np.ones(len(seen)))
+    return lie.take(compared, int(np.argmin(cost)))
+
+
+def medoid_costs(
+    placements: Float[Any, "k s s"], seen: Float[Any, "k p"], weights: Float[Any, " k"]
+) -> Float[Any, " k"]:
+    """Sums each placement's distances from all others, weighted: least for the medoid.
+
+    Distances between the images of the middle of what the closures see, not between origins, which
+    may be far away; with the rotations' difference at a lever arm as long as what they see.
+    NumPy or JAX.
+
+    Args:
+        placements: T_u as homogeneous matrices.
+        seen: y_u, the positions in the map that the closures measure, metres.
+        weights: of the others; where one is 0 its closure does not count.
+    """
+    xp = namespace(placements, seen, weights)
+    counted = weights > 0.0
+    middle = xp.where(counted[:, None], seen, 0.0).sum(axis=0) / xp.maximum(counted.sum(), 1)
+    spread = xp.where(counted[:, None], xp.abs(seen - middle), 0.0)
+    lever = 1.0 + 2.0 * xp.sqrt(xp.sum(xp.max(spread, axis=0) ** 2))
+    turn, shift = placements[:, :-1, :-1], placements[:, :-1, -1]
+    features = xp.concatenate([turn @ middle + shift, lever * turn.reshape(len(turn), -1)], axis=1)
+    away = features[:, None] - features[None]
+    return xp.sqrt(xp.sum(away * away, axis=-1)) @ weights

@@ -1,4 +1,4 @@
-"""How long JAX compiled during a call, by JAX's own monitoring events."""
+"""The time that JAX compiled during a call, by JAX's own monitoring events."""
 
 from __future__ import annotations
 

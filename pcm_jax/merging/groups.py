@@ -1,4 +1,4 @@
-"""Which robots the accepted closures connect. Robots that none connects stay apart."""
+"""Groups of robots that accepted closures connect. Robots that none connects stay apart."""
 
 from __future__ import annotations
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputWarning
+from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution, optimize
 from pcm_jax.mapping.least_squares import PoseProblem
@@ -69,6 +69,17 @@ def joint_graph(
     )
 
 
+def cut_apart(
+    graph: MultiRobotGraph, members: Sequence[int], poses: Any
+) -> Iterator[tuple[int, Any]]:
+    """Cuts the poses of a joint graph apart: each robot and its own, one robot after the other."""
+    first = 0
+    for robot in members:
+        rows = slice(first, first + graph.maps[robot].num_poses)
+        yield robot, lie.take(poses, rows)
+        first = rows.stop
+
+
 def solve_joint(
     roomy: PoseGraph, used: Bool[np.ndarray, " k"], *, method: str, engine: str
 ) -> Solution:
@@ -103,7 +114,7 @@ def solve_joint(
     warnings.warn(
         f"merged map {joint.name!r}: the solve did not converge; the accepted closures contradict"
         " each other or the maps",
-        InputWarning,
+        ConvergenceWarning,
         stacklevel=2,
     )
     return min([*attempts, solution], key=lambda s: s.cost if math.isfinite(s.cost) else math.inf)

@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.mapping import joint_marginal_covariance
+from pcm_jax.graph import LoopClosures, MultiRobotGraph
+from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
-from pcm_jax.merging.robust.solve import RobustSolution
+from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.selection import Selection
 
 POSE_FIELDS = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "qx", "qy", "qz", "qw")}
@@ -23,7 +23,7 @@ POSE_FIELDS = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "qx", "qy", "qz", "qw"
 
 @dataclasses.dataclass(frozen=True)
 class MergeSolution:
-    """How well the merged maps fit all measurements that were used.
+    """The fit of the merged maps to all measurements that were used.
 
     Attributes:
         cost: 0.5 Σ rᵀΩr over the maps' edges and the accepted closures, all groups. Of a robust
@@ -42,22 +42,25 @@ class MergeSolution:
     converged: bool
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class MergeResult:
     """Several maps merged by the closures that were accepted.
 
     Attributes:
         graph: the maps at their merged poses, each in its group's frame, which is that of the
-            group's first robot; all closures, in the given order.
-        accepted: bool `[m]`, the closures that were accepted and used.
+            group's first robot; the accepted closures and no other.
+        candidates: all closures, in the given order.
+        accepted: bool `[m]` over the candidates, those that were accepted and used.
         anchors: Lie `[robots]`, float64: the pose `T_r` of each map's own frame in its group's
             frame, `P = T_r X` at the map's first pose; the identity for a robot by itself.
         solution: costs and convergence.
         groups: tuples of robot indices; robots that no accepted closure connects are apart.
-        selection: how the closures were chosen, with Q and certificates; None if they were given
-            or the method is a robust one.
+        selection: how the closures were chosen, with evidence and certificates; None if they were
+            given or the method is a robust one.
         maps: the robots' own optimised maps, before merging.
         method: how the closures were chosen.
+        confidence: probability inside the gate; None where no gate was used.
+        gate: γ², which a pair of closures (of a robust method: a closure) had to pass; None too.
         seconds: wall-clock time of "optimize", "marginals", "consistency", "clique" and "merge";
             "compile" is what JAX's compiler took of these.
         robust: of a robust method, each closure's scale and where the solve left the maps;
@@ -65,6 +68,7 @@ class MergeResult:
     """
 
     graph: MultiRobotGraph
+    candidates: LoopClosures
     accepted: Bool[np.ndarray, " m"]
     anchors: Any
     solution: MergeSolution
@@ -72,34 +76,49 @@ class MergeResult:
     selection: Selection | None
     maps: tuple[Any, ...]
     method: str
+    confidence: float | None
+    gate: float | None
     seconds: dict[str, float]
     robust: RobustSolution | None = None
 
+    def __repr__(self) -> str:
+        groups = " | ".join(
+            " + ".join(self.graph.maps[robot].name for robot in members) for members in self.groups
+        )
+        fit = self.solution
+        chi2 = "–" if fit.normalized_chi2 is None else f"{fit.normalized_chi2:.3g}"
+        end = "converged" if fit.converged else "not converged"
+        return (
+            f"MergeResult({int(self.accepted.sum())} of {len(self.accepted)} closures accepted)\n"
+            f"  groups  {groups}\n"
+            f"  fit     cost {fit.cost:.6g}, normalised χ² {chi2}, {end}, by {self.method}"
+        )
+
     @functools.cached_property
     def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
-        """How well each map is tied to its group: covariance of `T_r` for `T_r exp(δ)`.
+        """The covariance of each `T_r` for `T_r exp(δ)`: how well its map is tied to its group.
 
         Zero for the first robot of a group, whose frame is the group's.
         """
         return _anchor_covariance(self)
 
     def report(self) -> dict[str, Any]:
-        """The result as plain data (numbers, strings, lists, dicts), as `report.json` holds it.
+        """Returns the result as plain data (numbers, strings, lists, dicts), as in `report.json`.
 
         Pose names are the robot's name and the pose's id in its file. Anchors are translations in
         metres with an angle in radians or a quaternion; null for a robot by itself.
         """
         from pcm_jax import __version__
 
-        graph, selection = self.graph, self.selection
+        graph = self.graph
         alone = {members[0] for members in self.groups if len(members) == 1}
         solution = dataclasses.asdict(self.solution)
         del solution["initial_cost"]
         return {
             "version": __version__,
             "method": self.method,
-            "confidence": selection.confidence if selection else None,
-            "gate": selection.gate if selection else None,
+            "confidence": self.confidence,
+            "gate": self.gate,
             "robots": [
                 {"name": m.name, "poses": m.num_poses, "edges": m.num_edges} for m in graph.maps
             ],
@@ -129,7 +148,7 @@ class MergeResult:
         return plot_merge(self, ax, is_true=is_true)
 
     def _closure_rows(self) -> list[dict[str, Any]]:
-        maps, closures = self.graph.maps, self.graph.closures
+        maps, closures = self.graph.maps, self.candidates
         ends = zip(
             np.asarray(closures.robot_a).tolist(),
             np.asarray(closures.pose_a).tolist(),
@@ -149,7 +168,7 @@ class MergeResult:
         ]
 
     def _pair_rows(self) -> list[dict[str, Any]]:
-        maps, closures = self.graph.maps, self.graph.closures
+        maps, closures = self.graph.maps, self.candidates
         certificates = {
             (pair.robot_a, pair.robot_b): (pair.optimal, pair.upper_bound)
             for pair in (self.selection.pairs if self.selection else ())
@@ -186,15 +205,15 @@ def _anchor_covariance(result: MergeResult) -> np.ndarray:
     """`T = P X⁻¹` with X held: a perturbation of P on the right is `Ad(X) δ` of T's."""
     graph = result.graph
     covariance = np.zeros((len(graph.maps), graph.tangent_dim, graph.tangent_dim))
-    here = lie.identity(lie.group_of(lie.as_numpy(graph.maps[0].poses)), (len(graph.maps),))
+    here = lie.identity(graph.group, (len(graph.maps),))
     for members in result.groups:
-        used = closures_within(members, graph.closures, result.accepted)
-        joint = joint_graph(graph, members, used, here)
+        every = np.ones(len(graph.closures), bool)
+        used = closures_within(members, graph.closures, every)
+        joint = MapCovariance(joint_graph(graph, members, used, here))
         sizes = [graph.maps[robot].num_poses for robot in members]
-        first = np.cumsum(sizes) - sizes
-        d = graph.tangent_dim
-        blocks = joint_marginal_covariance(joint, first).reshape(len(members), d, len(members), d)
-        for k, robot in enumerate(members):
-            transport = np.asarray(lie.adjoint(lie.take(lie.as_numpy(result.maps[robot].poses), 0)))
-            covariance[robot] = transport @ blocks[k, :, k] @ transport.T
+        firsts = joint.diagonal(np.cumsum(sizes) - sizes)
+        for robot, own in zip(members, firsts, strict=True):
+            first = lie.take(lie.as_numpy(result.maps[robot].poses), 0)
+            transport = np.asarray(lie.adjoint(first))
+            covariance[robot] = transport @ own @ transport.T
     return covariance

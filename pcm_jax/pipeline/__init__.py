@@ -1,10 +1,13 @@
 """The four steps together: the only orchestrators.
 
-select   steps i to iii for every robot pair
-merge    step iv as well
+stages   how long each step took, and what is told of it
+weigh    steps i and ii for every pair of robots: evidence
+select   step iii: the closures to believe
+merge    step iv: one map a group
 """
 
 from pcm_jax.pipeline.merge import merge
 from pcm_jax.pipeline.select import select
+from pcm_jax.pipeline.weigh import weigh
 
-__all__ = ["merge", "select"]
+__all__ = ["merge", "select", "weigh"]

@@ -1,161 +1,210 @@
-"""`merge`: from a multi-robot graph to one map per group of robots (the paper, all four steps)."""
+"""`merge`: from a graph or its evidence to one map per group of robots; all four steps."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.consistency import chi2_gate
+from pcm_jax.consistency import Evidence, chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.merging._alignment import aligned_anchors
 from pcm_jax.merging.compile_time import CompileClock
 from pcm_jax.merging.groups import closures_within, robot_groups
-from pcm_jax.merging.joint import joint_graph, solve_joint
+from pcm_jax.merging.joint import cut_apart, joint_graph, solve_joint
 from pcm_jax.merging.result import MergeResult, MergeSolution
-from pcm_jax.merging.robust.methods import ROBUST_METHODS, check_robust_options
-from pcm_jax.merging.robust.solve import RobustSolution, solve_robustly
-from pcm_jax.pipeline.select import STAGES, optimized_maps, select
-from pcm_jax.selection import Selection
-from pcm_jax.selection.methods import ALL_METHODS
+from pcm_jax.merging.robust import ROBUST_METHODS, RobustSolution, solve_robustly
+from pcm_jax.merging.robust.methods import check_robust_options
+from pcm_jax.pipeline.select import OF_WEIGHING, check_graph, select
+from pcm_jax.pipeline.stages import STAGES, Progress, silent
+from pcm_jax.pipeline.weigh import optimized_maps
+from pcm_jax.selection.choose import Method, check_method, name_of
 
 EVERYTHING = "all"
 GIVEN = "given"
+CONFIDENCE = 0.99
+MINIMUM = 2
 
 
 @on_host
 def merge(
-    graph: MultiRobotGraph,
+    graph: MultiRobotGraph | Evidence,
     *,
-    method: str = "pcm-exact",
-    confidence: float = 0.99,
+    method: Method = "pcm-exact",
+    confidence: float | None = None,
     accepted: Any = None,
-    room_for: Any = None,
-    optimized: bool = False,
-    minimum_inliers: int = 2,
+    minimum_inliers: int | None = None,
     time_limit: float | None = None,
+    room_for: Any = None,
     solver: str | None = None,
     engine: str = "blocks",
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> MergeResult:
     """Merges the robots' maps by the closures that a method accepts.
 
+        result = pcm_jax.merge(graph)
+        result.accepted, result.anchors, result.groups
+        evidence = pcm_jax.weigh(graph)                     # or weigh once, and ask again
+        strict = pcm_jax.merge(evidence, confidence=0.9)
+
     Args:
-        graph: at least two maps, and candidate closures between them.
-        method: a selection method (see `select_from`); "all": every closure is accepted; or a
-            robust one, "dcs", "gnc", "switchable" or "max-mixture", which keeps all closures in
-            the solve with information scaled by how well they fit (see `merging.robust`).
+        graph: at least two maps and candidate closures between them, or what `weigh` found of them.
+        method: a selection method (see `select_from`), by name or as a function
+            `(evidence, gate) -> bool [k]`; "all": every closure is accepted; or a robust one,
+            "dcs", "gnc", "switchable" or "max-mixture", which keeps all closures in the solve with
+            information scaled by how well they fit (see `merging.robust`).
         confidence: probability that the loop of two right closures passes the gate; of a robust
-            method, that one right closure does.
+            method, that one right closure does; 0.99 by default.
         accepted: bool `[m]` or indices: the closures to use instead of selecting any.
+        minimum_inliers: a pair of robots that accepts fewer closures accepts none; 2 by default.
+        time_limit: seconds for each robot pair's clique.
         room_for: bool `[m]` or indices: closures for which the merged map's symbolic plan has room
             besides those accepted. Merges of one graph by different closures share one plan if
             all of these are named in each; the results differ by rounding alone. A plan with room
             for false closures is large: name what some merge accepts, not every candidate.
-        optimized: whether the maps are at their optimum already.
-        minimum_inliers: a pair of robots that accepts fewer closures accepts none.
-        time_limit: seconds for each robot pair's clique.
         solver: "gauss-newton" or "levenberg-marquardt", for the merged map; by default the
             first, and the second for robust methods.
         engine: "blocks" or "cholmod", for the merged map.
-        progress: called with a line of text when a stage begins.
-        **options: the method's own; of a selection method also `memory_limit`, see `select`. Robust
-            methods have `initial`, where the maps start: "identity" (first poses coincide) or
-            "closures"; `anchors`, Lie `[robots]`, to start there instead; `phi` (dcs), `prior`
-            (switchable), `null_scale`, `null_weight` (max-mixture).
+        progress: called with a stage ("optimize", "consistency", "clique", "merge"), how many of
+            its parts are done, and how many there are.
+        **options: the method's own; of a graph also `optimized` (whether the maps are at their
+            optimum already), and where something is selected `metric` and `memory_limit`, see
+            `weigh`. Robust methods have `initial`, where the maps start: "identity" (first poses
+            coincide) or "closures"; `anchors`, Lie `[robots]`, to start there instead; `phi`
+            (dcs), `prior` (switchable), `null_scale`, `null_weight` (max-mixture).
 
     Returns:
-        Merged maps, anchors, groups, what was accepted and why.
+        Merged maps, anchors, groups, what was accepted and why; float64, NumPy.
 
     Raises:
-        InputError: for fewer than two maps, no closures, an unknown method or option, and what
-            selecting raises.
+        InputError: for fewer than two maps, no closures, an unknown method or option, an argument
+            that the method cannot use, and what selecting raises.
+
+    Warns:
+        ConvergenceWarning: for a map, or a merged map, that did not converge.
     """
-    _check(graph)
-    method = _checked_method(method, options, time_limit, accepted)
-    tell = progress or (lambda text: None)
-    selection = robust = None
+    check_graph(graph)
+    given = graph.graph if isinstance(graph, Evidence) else graph
+    _check(given)
+    asked = {"confidence": confidence, "minimum_inliers": minimum_inliers}
+    if time_limit is not None:
+        asked["time_limit"] = time_limit
+    kind = _checked(method, accepted, asked, options, room_for is not None)
+    tell = progress or silent
     with CompileClock() as compiling:
-        if method in ALL_METHODS:
-            selection = _select(
-                graph, method, confidence, optimized, minimum_inliers, time_limit, tell, options
-            )
-            accepted, maps = selection.accepted, selection.maps
-            seconds = dict(selection.seconds)
+        if kind == "select":
+            chosen = _selected(graph, method, asked, options, progress)
         else:
-            start = time.perf_counter()
-            tell(f"optimising {len(graph.maps)} maps")
-            maps = optimized_maps(graph.maps, optimized)
-            seconds = dict.fromkeys(STAGES, 0.0) | {"optimize": time.perf_counter() - start}
-            everything = np.ones(len(graph.closures), bool)
-            accepted = everything if accepted is None else _mask("accepted", accepted, graph)
-        own = MultiRobotGraph(maps, graph.closures)
+            chosen = _unselected(graph, options, tell, _mask("accepted", accepted, given))
+        own = MultiRobotGraph(chosen.maps, given.closures)
         start = time.perf_counter()
-        if method in ROBUST_METHODS:
-            tell(f"merging with {len(accepted)} scaled closures")
-            gate = float(chi2_gate(confidence, graph.tangent_dim))
+        tell("merge", 0, 1)
+        gate = chosen.gate
+        if kind == "robust":
+            gate = float(chi2_gate(_or(confidence, CONFIDENCE), given.tangent_dim))
             names = {"method": method, "solver": solver or "levenberg-marquardt", "engine": engine}
-            robust = solve_robustly(own, gate=gate, **names, **options)
-            accepted = _enough(graph.closures, robust.accepted, minimum_inliers)
-            solved = _regroup(own, accepted, robust)
+            robust = solve_robustly(own, gate=gate, **names, **options)  # type: ignore[arg-type]
+            mask = _enough(own.closures, robust.accepted, _or(minimum_inliers, MINIMUM))
+            solved = _regroup(own, mask, robust)
         else:
-            tell(f"merging with {int(accepted.sum())} of {len(accepted)} closures")
-            room = accepted if room_for is None else accepted | _mask("room_for", room_for, graph)
-            solved = _solve(own, accepted, room, solver or "gauss-newton", engine)
-    merged, anchors, solution, groups = solved
-    seconds |= {"merge": time.perf_counter() - start, "compile": compiling.seconds}
+            mask, robust = chosen.accepted, None
+            room = mask | _mask("room_for", room_for, given, none=False)
+            solved = _solve(own, mask, room, solver or "gauss-newton", engine)
+        tell("merge", 1, 1)
+    seconds = chosen.seconds | {
+        "merge": time.perf_counter() - start,
+        "compile": compiling.seconds,
+    }
     return MergeResult(
-        merged, accepted, anchors, solution, groups, selection, maps, method, seconds, robust
+        graph=MultiRobotGraph(solved.maps, given.closures[mask]),
+        candidates=given.closures,
+        accepted=mask,
+        anchors=solved.anchors,
+        solution=solved.solution,
+        groups=solved.groups,
+        selection=chosen.selection,
+        maps=chosen.maps,
+        method=GIVEN if accepted is not None else name_of(method),
+        confidence=None if gate is None else _or(confidence, CONFIDENCE),
+        gate=gate,
+        seconds=seconds,
+        robust=robust,
     )
 
 
-def _checked_method(
-    method: str, options: dict[str, Any], time_limit: float | None, accepted: Any
+def _or(value: Any, default: Any) -> Any:
+    return default if value is None else value
+
+
+def _checked(
+    method: Method, accepted: Any, asked: dict[str, Any], options: dict[str, Any], room: bool
 ) -> str:
-    """The method's name, or "given". What selection methods take is checked by `select`."""
-    known = (*ALL_METHODS, *ROBUST_METHODS, EVERYTHING)
-    if method not in known:
-        raise InputError(f"method: {method!r}, expected one of {', '.join(known)}")
-    if accepted is not None:
-        method = GIVEN
-    if method in ROBUST_METHODS:
-        check_robust_options(method, options)
-        if time_limit is not None:
-            raise InputError(f"time_limit: not an option of method {method!r}")
-    elif options and method not in ALL_METHODS:
-        what = "accepted=" if method == GIVEN else f"method {method!r}"
-        raise InputError(f"{next(iter(options))}: not an option that goes with {what}")
-    return method
+    """The kind of merge: "select", "robust" or "fixed"; every argument is one that it can use."""
+    if isinstance(method, str) and method in ROBUST_METHODS and accepted is None:
+        own = {name: value for name, value in options.items() if name != "optimized"}
+        check_robust_options(method, own)
+        refused = [n for n in ("time_limit",) if n in asked] + ["room_for"] * room
+        kind, what = "robust", f"method {method!r}"
+    elif accepted is not None or method == EVERYTHING:
+        if not isinstance(method, str) or method not in (*ROBUST_METHODS, EVERYTHING):
+            check_method(method, {}, (*ROBUST_METHODS, EVERYTHING))
+        refused = [name for name, value in asked.items() if value is not None]
+        refused += [name for name in options if name != "optimized"]
+        kind = "fixed"
+        what = "accepted=" if accepted is not None else f"method {EVERYTHING!r}"
+    else:
+        own = {name: value for name, value in options.items() if name not in OF_WEIGHING}
+        limit = {name: value for name, value in asked.items() if name == "time_limit"}
+        check_method(method, own | limit, (*ROBUST_METHODS, EVERYTHING))
+        return "select"
+    for name in refused:
+        raise InputError(f"{name}: not an option that goes with {what}")
+    return kind
 
 
-def _select(
-    graph: MultiRobotGraph,
-    method: str,
-    confidence: float,
-    optimized: bool,
-    minimum_inliers: int,
-    time_limit: float | None,
-    tell: Callable[[str], None],
+class _Chosen(NamedTuple):
+    """The state before the maps are merged."""
+
+    maps: tuple[Any, ...]
+    accepted: Bool[np.ndarray, " m"]
+    selection: Any
+    gate: float | None
+    seconds: dict[str, float]
+
+
+def _selected(
+    graph: MultiRobotGraph | Evidence,
+    method: Method,
+    asked: dict[str, Any],
     options: dict[str, Any],
-) -> Selection:
-    tell(f"selecting among {len(graph.closures)} closures")
-    return select(
-        graph,
-        method=method,
-        confidence=confidence,
-        optimized=optimized,
-        minimum_inliers=minimum_inliers,
-        time_limit=time_limit,
-        progress=tell,
-        **options,
-    )
+    progress: Progress | None,
+) -> _Chosen:
+    known = {name: value for name, value in asked.items() if value is not None}
+    chosen = select(graph, method=method, progress=progress, **known, **options)
+    return _Chosen(chosen.maps, chosen.accepted, chosen, chosen.gate, dict(chosen.seconds))
+
+
+def _unselected(
+    graph: MultiRobotGraph | Evidence, options: dict[str, Any], tell: Progress, accepted: Any
+) -> _Chosen:
+    """The optimised maps alone; takes `optimized` out of the options."""
+    seconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
+    if isinstance(graph, Evidence):
+        if "optimized" in options:
+            raise InputError("optimized: given with evidence, expected with a graph")
+        return _Chosen(graph.maps, accepted, None, None, seconds)
+    start = time.perf_counter()
+    maps = optimized_maps(graph.maps, options.pop("optimized", False), tell)
+    seconds["optimize"] = time.perf_counter() - start
+    return _Chosen(maps, accepted, None, None, seconds)
 
 
 def _check(graph: MultiRobotGraph) -> None:
@@ -171,9 +220,14 @@ def _check(graph: MultiRobotGraph) -> None:
         )
 
 
-def _mask(name: str, given: Any, graph: MultiRobotGraph) -> np.ndarray:
-    """The mask of a mask or of indices of closures."""
-    count, chosen = len(graph.closures), np.asarray(given)
+def _mask(
+    name: str, given: Any, graph: MultiRobotGraph, *, none: bool = True
+) -> Bool[np.ndarray, " m"]:
+    """The mask of a mask or of indices of closures; `none` everywhere for None."""
+    count = len(graph.closures)
+    if given is None:
+        return np.full(count, none)
+    chosen = np.asarray(given)
     if chosen.dtype == bool:
         if chosen.shape != (count,):
             raise InputError(f"{name}: shape {chosen.shape}, expected [{count}], one per closure")
@@ -190,9 +244,18 @@ def _mask(name: str, given: Any, graph: MultiRobotGraph) -> np.ndarray:
     return mask
 
 
+class _Solved(NamedTuple):
+    """The maps at their merged poses, and what `MergeResult` says of them."""
+
+    maps: tuple[Any, ...]
+    anchors: Any
+    solution: MergeSolution
+    groups: tuple[tuple[int, ...], ...]
+
+
 def _solve(
     graph: MultiRobotGraph, accepted: np.ndarray, room: np.ndarray, solver: str, engine: str
-) -> tuple[MultiRobotGraph, Any, MergeSolution, tuple[tuple[int, ...], ...]]:
+) -> _Solved:
     """Aligns and solves every group; puts the poses back into the robots' maps."""
     groups = robot_groups(len(graph.maps), graph.closures, accepted)
     start = aligned_anchors(graph, accepted, groups)
@@ -205,20 +268,16 @@ def _solve(
         solutions.append(solution)
         rows += solution.graph.num_edges
         columns += joint.num_poses - 1
-        merged, first = lie.as_numpy(solution.graph.poses), 0
+        merged = lie.as_numpy(solution.graph.poses)
         if len(members) == 1:  # at its optimum already, and to stay as it is
             merged = lie.as_numpy(graph.maps[members[0]].poses)
-        for robot in members:
-            size = graph.maps[robot].num_poses
-            poses[robot] = lie.take(merged, slice(first, first + size))
-            first += size
-    merged_graph, anchors = _placed(graph, poses)
-    return merged_graph, anchors, _summary(graph, solutions, rows - columns), groups
+        for robot, own in cut_apart(graph, members, merged):
+            poses[robot] = own
+    maps, anchors = _placed(graph, poses)
+    return _Solved(maps, anchors, _summary(graph, solutions, rows - columns), groups)
 
 
-def _regroup(
-    graph: MultiRobotGraph, accepted: np.ndarray, robust: RobustSolution
-) -> tuple[MultiRobotGraph, Any, MergeSolution, tuple[tuple[int, ...], ...]]:
+def _regroup(graph: MultiRobotGraph, accepted: np.ndarray, robust: RobustSolution) -> _Solved:
     """Robots that only rejected closures connect get frames of their own again."""
     groups = robot_groups(len(graph.maps), graph.closures, accepted)
     poses: list[Any] = [lie.as_numpy(own.poses) for own in graph.maps]
@@ -231,18 +290,18 @@ def _regroup(
             poses[robot] = lie.compose(back, lie.as_numpy(robust.maps[robot].poses))
     rows = sum(own.num_edges for own in graph.maps) + int(accepted.sum())
     columns = sum(own.num_poses for own in graph.maps) - len(groups)
-    merged_graph, anchors = _placed(graph, poses)
-    return merged_graph, anchors, _summary(graph, [robust], rows - columns), groups
+    maps, anchors = _placed(graph, poses)
+    return _Solved(maps, anchors, _summary(graph, [robust], rows - columns), groups)
 
 
-def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[MultiRobotGraph, Any]:
+def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[tuple[Any, ...], Any]:
     """The maps at new poses, and the anchors that follow from their first ones."""
     anchors = [
         lie.compose(lie.take(new, 0), lie.inverse(lie.take(lie.as_numpy(own.poses), 0)))
         for new, own in zip(poses, graph.maps, strict=True)
     ]
     placed = [own.with_poses(new) for own, new in zip(graph.maps, poses, strict=True)]
-    return MultiRobotGraph(tuple(placed), graph.closures), lie.stack(anchors)
+    return tuple(placed), lie.stack(anchors)
 
 
 def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.ndarray:
@@ -259,7 +318,7 @@ def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.nd
 def _summary(
     graph: MultiRobotGraph, solutions: Sequence[Solution | RobustSolution], blocks: int
 ) -> MergeSolution:
-    """Of all groups; `blocks` are edges less free poses."""
+    """Sums over all groups; `blocks` are edges less free poses."""
     cost = sum(solution.cost for solution in solutions)
     freedom = blocks * graph.tangent_dim
     return MergeSolution(

@@ -70,13 +70,13 @@ def plot_merge(result: Any, ax: Any = None, *, is_true: Mask | None = None) -> A
     """Draws the result of a merge: its maps in the common frame and what became of each closure.
 
     Args:
-        result: anything with `.graph` (maps in a common frame) and `.accepted` `[m]`.
+        result: a `MergeResult`: `.graph` (maps in a common frame), `.candidates` and `.accepted`.
         ax: matplotlib axes to draw into; None makes a figure.
         is_true: which closures are true, where that is known.
     """
     graph, accepted = result.graph, np.asarray(result.accepted, dtype=bool)
     ax = plot_trajectories_with_closures(
-        graph.maps, graph.closures, accepted=accepted, is_true=is_true, ax=ax
+        graph.maps, result.candidates, accepted=accepted, is_true=is_true, ax=ax
     )
     ax.set_title(f"{accepted.sum()} of {len(accepted)} closures accepted")
     return ax

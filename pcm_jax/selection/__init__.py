@@ -1,15 +1,19 @@
-"""Which loop closures to believe: the paper's method and those it is compared with.
+"""Step iii, the loop closures to believe: the paper's method and those it is compared with.
 
-methods         the registry: `select_from`, on a matrix Q of one's own
-pcm, combinatorial, ransac, scgp     the methods, one short file each
-batched         `select_batched`, the same methods as kernels, for many small problems at once
-soft            `soft_select`, PCM relaxed, with derivatives
-within_one_map  `select_within`, the loop closures inside one robot's own map
+method           what a method is (`SelectionMethod`), and what it returns (`Choice`)
+_distances       the two ways to read distances that are not symmetric
+methods/         one file a method, the host's form and the kernel side by side
+choose           `select_from` and `choose`: a method by name, or as a function, on one pair
+batched          `select_batched`: the kernels, on many small problems at once
+soft             `soft_select`: PCM relaxed, with derivatives
+within_one_map   `select_within`: the loop closures inside one robot's own map
+result           `Selection`, `PairSelection`: what `pipeline.select` returns
 """
 
 from pcm_jax.selection.batched import select_batched
-from pcm_jax.selection.choice import Choice
-from pcm_jax.selection.methods import METHODS, choose, select_from
+from pcm_jax.selection.choose import choose, select_from
+from pcm_jax.selection.method import Choice, SelectionMethod
+from pcm_jax.selection.methods import METHODS
 from pcm_jax.selection.result import PairSelection, Selection
 from pcm_jax.selection.soft import soft_select
 from pcm_jax.selection.within_one_map import WithinSelection, clean_maps, select_within
@@ -19,6 +23,7 @@ __all__ = [
     "Choice",
     "PairSelection",
     "Selection",
+    "SelectionMethod",
     "WithinSelection",
     "choose",
     "clean_maps",

@@ -1,4 +1,4 @@
-"""The two ways in which methods read a matrix of squared distances that is not symmetric."""
+"""The two ways in which methods read squared distances that are not symmetric; NumPy or JAX."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pcm_jax.arrays import namespace
 from pcm_jax.consistency import consistency_graph
 
 
@@ -15,8 +16,8 @@ def consistent_pairs(squared: Float[np.ndarray, "m m"], gate: float) -> Bool[np.
     return np.asarray(consistency_graph(cast(Any, squared), gate))
 
 
-def symmetrised(squared: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m m"]:
+def symmetrised(squared: Float[Any, "m m"]) -> Float[Any, "m m"]:
     """The larger of the two directions of every pair, the diagonal zero; NaN stays NaN."""
-    larger = np.maximum(squared, squared.T)
-    np.fill_diagonal(larger, 0.0)
-    return larger
+    xp = namespace(squared)
+    larger = xp.maximum(squared, squared.T)
+    return xp.where(np.eye(len(squared), dtype=bool), 0.0, larger)

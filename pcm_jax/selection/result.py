@@ -1,4 +1,4 @@
-"""What `select` returns: which closures of a graph to believe, and by what evidence."""
+"""The result of `select`: which closures of a graph to believe, and by what evidence."""
 
 from __future__ import annotations
 
@@ -7,70 +7,76 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pcm_jax.consistency import PackedGraph
-from pcm_jax.errors import InputError
+from pcm_jax.consistency import Evidence, PairEvidence
 from pcm_jax.graph import PoseGraph
-from pcm_jax.selection._distances import consistent_pairs
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PairSelection:
-    """What was decided of the k closures between two robots.
+    """The decision on the k closures between two robots.
 
     Attributes:
-        robot_a: index of the robot with the smaller index.
-        robot_b: index of the other.
-        closures: int64 [k], their indices among the graph's closures, ascending.
-        evidence: what the method went by: float64 [k, k], squared Mahalanobis distances (paper, eq.
-            4), not symmetrised; or, where these take more than the memory limit, their graph alone.
+        evidence: what the method went by.
         gate: γ².
         accepted: bool [k].
         optimal: whether no larger pairwise consistent set exists; None if the method does not say.
         upper_bound: no pairwise consistent set has more members; None likewise.
+        found: how many members the method's set had, also where that was too few to be accepted.
     """
 
-    robot_a: int
-    robot_b: int
-    closures: Int[np.ndarray, " k"]
-    evidence: Float[np.ndarray, "k k"] | PackedGraph
+    evidence: PairEvidence
     gate: float
     accepted: Bool[np.ndarray, " k"]
     optimal: bool | None
     upper_bound: int | None
+    found: int
+
+    def __repr__(self) -> str:
+        proof = {None: "not looked for", True: "proven", False: f"at most {self.upper_bound}"}
+        return (
+            f"PairSelection(robots {self.robot_a} and {self.robot_b})\n"
+            f"  accepted     {int(self.accepted.sum())} of {len(self.accepted)}\n"
+            f"  largest set  {proof[self.optimal]}, gate {self.gate:.4g}"
+        )
+
+    @property
+    def robot_a(self) -> int:
+        """The index of the robot with the smaller index."""
+        return self.evidence.robot_a
+
+    @property
+    def robot_b(self) -> int:
+        """The index of the other."""
+        return self.evidence.robot_b
+
+    @property
+    def closures(self) -> Int[np.ndarray, " k"]:
+        """The closures' indices among the graph's closures, ascending."""
+        return self.evidence.closures
 
     @property
     def squared(self) -> Float[np.ndarray, "k k"]:
-        """The squared distances.
-
-        Raises:
-            InputError: if they were not kept.
-        """
-        if isinstance(self.evidence, PackedGraph):
-            raise InputError(
-                f"squared: not kept for the {len(self.closures)} closures between robots "
-                f"{self.robot_a} and {self.robot_b}, expected a larger memory_limit for them"
-            )
-        return self.evidence
+        """The squared distances; see `PairEvidence.squared`."""
+        return self.evidence.squared
 
     def consistent(self) -> Bool[np.ndarray, "k k"]:
-        """The consistency graph, k² bytes."""
-        if isinstance(self.evidence, PackedGraph):
-            return self.evidence.dense()
-        return consistent_pairs(self.evidence, self.gate)
+        """The consistency graph at the gate, k² bytes."""
+        return self.evidence.consistent(self.gate)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Selection:
-    """Which closures of a graph to believe.
+    """The closures of a graph to believe.
 
     Attributes:
         accepted: bool [m], in the order of the graph's closures.
         pairs: one `PairSelection` per pair of robots that closures join, by robot index.
-        method: as given.
+        method: as given; of a function its name.
         confidence: as given.
         gate: γ², of all pairs.
-        maps: the optimised maps that the distances were measured in.
-        seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"` and `"clique"`.
+        evidence: what `weigh` found, for further questions.
+        seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"` and `"clique"`;
+            those of the evidence are what it took when it was made.
     """
 
     accepted: Bool[np.ndarray, " m"]
@@ -78,5 +84,22 @@ class Selection:
     method: str
     confidence: float
     gate: float
-    maps: tuple[PoseGraph, ...]
+    evidence: Evidence
     seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        names = self.evidence.graph.names
+        told = [
+            f"{names[p.robot_a]}-{names[p.robot_b]} {int(p.accepted.sum())} of {len(p.accepted)}"
+            for p in self.pairs
+        ]
+        return (
+            f"Selection({int(self.accepted.sum())} of {len(self.accepted)} closures accepted)\n"
+            f"  pairs   {', '.join(told) or 'none'}\n"
+            f"  method  {self.method}, confidence {self.confidence:g}, gate {self.gate:.4g}"
+        )
+
+    @property
+    def maps(self) -> tuple[PoseGraph, ...]:
+        """The optimised maps that the distances were measured in."""
+        return self.evidence.maps

@@ -50,7 +50,7 @@ def soft_select(
     valid: Bool[Array, " m"] | None = None,
     steps: int = STEPS,
 ) -> Float[Array, " m"]:
-    """How far each measurement belongs to the largest pairwise consistent set, differentiable.
+    """Weighs how far each measurement belongs to the largest consistent set, differentiably.
 
     A relaxation of PCM (regularised Motzkin-Straus, by replicator dynamics; see
     `pcm_jax.selection.soft`). Safe under jit, vmap, grad and jvp, with respect to `squared`, `gate`

@@ -1,4 +1,4 @@
-"""Which loop closures inside one robot's own map to believe: the paper's steps ii and iii there.
+"""The loop closures inside one robot's own map to believe: the paper's steps ii and iii there.
 
 Between two robots nothing says beforehand where one is from the other, and the largest consistent
 set is all there is to go by. Inside one map odometry says it for every closure by itself. So a
@@ -10,7 +10,6 @@ among themselves, however large, as soon as they contradict odometry.
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import time
 from typing import Any
 
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
+    PairEvidence,
     chi2_gate,
     odometry_edges,
     squared_mahalanobis,
@@ -27,14 +27,15 @@ from pcm_jax.consistency import (
 )
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.selection.methods import ALL_METHODS, check_method, choose
+from pcm_jax.selection.choose import Method, check_method, choose
+from pcm_jax.selection.methods import METHODS
 
 TIME_LIMIT = 60.0  # seconds
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class WithinSelection:
-    """What was decided of the m loop closures among the e edges of one map.
+    """The decision on the m loop closures among the e edges of one map.
 
     Attributes:
         graph: the map without the rejected edges; poses, ids and name are the given ones.
@@ -63,6 +64,14 @@ class WithinSelection:
     upper_bound: int | None
     seconds: dict[str, float]
 
+    def __repr__(self) -> str:
+        proof = {None: "not looked for", True: "proven", False: f"at most {self.upper_bound}"}
+        return (
+            f"WithinSelection({int(self.accepted.sum())} of {len(self.accepted)} closures accepted)"
+            f"\n  map          {self.graph!r}\n"
+            f"  largest set  {proof[self.optimal]}, gate {self.gate:.4g}"
+        )
+
     @property
     def inliers(self) -> Bool[np.ndarray, " e"]:
         """The former name of `kept`."""
@@ -74,13 +83,16 @@ def select_within(
     pose_graph: PoseGraph,
     *,
     confidence: float = 0.99,
-    method: str = "pcm-exact",
+    method: Method = "pcm-exact",
     own_loop: bool = True,
     minimum_inliers: int = 2,
     time_limit: float | None = None,
     **options: Any,
 ) -> WithinSelection:
     """Selects the loop closures to believe inside one map.
+
+        cleaned = pcm_jax.select_within(graph.maps[0])
+        cleaned.accepted, cleaned.graph
 
     Squared distances are measured in the map that odometry alone gives, with its covariance as the
     edges state it: where that is too small, true closures after a long way fail.
@@ -117,7 +129,8 @@ def select_within(
     own_squared = np.asarray(squared_own_loops(problem))
     measured = time.perf_counter()
     candidates = np.flatnonzero((own_squared <= gate) | (not own_loop))
-    choice = choose(squared[np.ix_(candidates, candidates)], gate, method=method, **options)
+    evidence = PairEvidence.from_squared(squared[np.ix_(candidates, candidates)])
+    choice = choose(evidence, gate, method=method, **options)
     accepted = np.zeros(len(closures), bool)
     accepted[candidates] = choice.members & (choice.members.sum() >= minimum_inliers)
     kept = odometry.copy()
@@ -141,7 +154,9 @@ def select_within(
 def clean_maps(
     graph: MultiRobotGraph, **options: Any
 ) -> tuple[MultiRobotGraph, tuple[WithinSelection | None, ...]]:
-    """`select_within` on every robot's map; the closures between robots stay as they are.
+    """Cleans every robot's map by `select_within`; closures between robots stay as they are.
+
+        graph, selections = pcm_jax.clean_maps(graph)
 
     Args:
         graph: the robots' maps.
@@ -170,11 +185,11 @@ def clean_maps(
 
 
 def _with_time_limit(
-    method: str, time_limit: float | None, options: dict[str, Any]
+    method: Method, time_limit: float | None, options: dict[str, Any]
 ) -> dict[str, Any]:
     """The method's options, checked; with the default limit if it takes one."""
     given = options if time_limit is None else {**options, "time_limit": time_limit}
     check_method(method, given)
-    if "time_limit" in inspect.signature(ALL_METHODS[method]).parameters:
+    if isinstance(method, str) and "time_limit" in METHODS[method].options:
         return {"time_limit": TIME_LIMIT, **given}
     return given

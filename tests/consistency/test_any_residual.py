@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pcm_jax import lie
-from pcm_jax.consistency import squared_mahalanobis_of
+from pcm_jax.consistency import definition, squared_mahalanobis_of
 from pcm_jax.errors import InputError
 
 
@@ -107,3 +107,29 @@ def test_no_measurements():
 def test_sizes_must_fit(measurements, covariances, message):
     with pytest.raises(InputError, match=message):
         squared_mahalanobis_of(between, measurements, covariances)
+
+
+def test_a_lambda_in_a_loop_compiles_once():
+    x, variance = np.arange(4.0), np.ones((4, 1, 1))
+
+    def of(scale):
+        return squared_mahalanobis_of(lambda u, v: jnp.atleast_1d(scale * (u - v)), x, variance)
+
+    of(1.0)
+    before = definition._all_pairs_of._cache_size()
+    for _ in range(3):
+        of(1.0)
+    assert definition._all_pairs_of._cache_size() == before
+    np.testing.assert_allclose(of(2.0), of(1.0))  # q² does not depend on the scale
+    assert definition._all_pairs_of._cache_size() == before + 1
+
+
+def test_functions_that_close_over_other_arrays_are_not_mixed_up():
+    x, variance = np.arange(3.0), np.ones((3, 1, 1))
+    shifts = [np.zeros(1), np.ones(1)]
+    found = [
+        squared_mahalanobis_of(lambda u, v, s=s: jnp.atleast_1d(u - v) + s, x, variance)
+        for s in shifts
+    ]
+    np.testing.assert_allclose(found[0][0], [0.0, 0.5, 2.0])
+    np.testing.assert_allclose(found[1][0], [0.0, 0.0, 0.5])

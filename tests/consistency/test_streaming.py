@@ -92,7 +92,7 @@ def test_resumes_after_a_kill(plane, tmp_path):
     assert len(finished) == 2
     calls = []
     again = stream_consistency_graph(
-        *plane, gate, panel=PANEL, folder=tmp_path, progress=lambda *now: calls.append(now)
+        *plane, gate, panel=PANEL, folder=tmp_path, progress=lambda stage, *now: calls.append(now)
     )
     np.testing.assert_array_equal(again.dense(), dense)
     assert [done for done, _ in calls[:2]] == seen
@@ -127,7 +127,7 @@ def test_what_was_kept_is_believed_only_if_it_fits(plane, tmp_path):
 def test_too_few_to_disagree(plane, count):
     progress = []
     world = (*plane[:2], plane[2][np.arange(count)])
-    graph = stream_consistency_graph(*world, 1.0, progress=lambda *now: progress.append(now))
+    graph = stream_consistency_graph(*world, 1.0, progress=lambda stage, *now: progress.append(now))
     assert graph.count == count
     assert graph.bits.shape == (count, count)
     assert not graph.dense().any()

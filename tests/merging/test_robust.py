@@ -22,7 +22,7 @@ from pcm_jax.merging.robust.weights import (
     truncated_weight,
 )
 from pcm_jax.pipeline import merge
-from pcm_jax.selection.methods import ALL_METHODS
+from pcm_jax.selection import METHODS
 from pcm_jax.simulation import simulate_city
 
 PHI, GATE = 5.0, float(chi2.ppf(0.99, 3))
@@ -320,5 +320,5 @@ def test_the_command_line_names_every_method(capsys):
     with pytest.raises(SystemExit):
         parser().parse_args(["merge", "--help"])
     text = " ".join(capsys.readouterr().out.split()).replace("- ", "-")
-    for name in (*ALL_METHODS, *ROBUST_METHODS, "all"):
+    for name in (*METHODS, *ROBUST_METHODS, "all"):
         assert name in text

@@ -9,7 +9,7 @@ import pytest
 
 from pcm_jax.errors import InputError
 from pcm_jax.selection import select_from
-from pcm_jax.selection.clipper import SUPPORT, _relaxed, clipper
+from pcm_jax.selection.methods.clipper import SUPPORT, _relaxed, clipper
 
 GATE = 6.63
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pcm_jax.errors import InputError
-from pcm_jax.selection import METHODS, choose, select_from
+from pcm_jax.selection import METHODS, select_from
 from pcm_jax.simulation import simulate_one_dimensional
 
 GATE = 2.0
@@ -113,9 +113,9 @@ def test_exact_equals_enumeration_on_one_dimensional_worlds():
     worlds = simulate_one_dimensional(seed=5, worlds=60, inliers=6, aliased=4, random=4)
     sizes = []
     for squared in worlds.squared_mahalanobis():
-        expected = choose(squared, 3.84, method="combinatorial")
-        exact = choose(squared, 3.84)
-        heuristic = choose(squared, 3.84, method="pcm-heuristic")
+        expected = select_from(squared, 3.84, method="combinatorial", with_certificate=True)
+        exact = select_from(squared, 3.84, with_certificate=True)
+        heuristic = select_from(squared, 3.84, method="pcm-heuristic", with_certificate=True)
         np.testing.assert_array_equal(exact.members, expected.members)
         assert exact.optimal
         assert exact.upper_bound == expected.upper_bound == expected.members.sum()
@@ -126,7 +126,7 @@ def test_exact_equals_enumeration_on_one_dimensional_worlds():
 
 def test_methods_without_a_proof_claim_none():
     for method in ("ransac", "scgp"):
-        choice = choose(distances_of(0.0, 1.0), GATE, method=method)
+        choice = select_from(distances_of(0.0, 1.0), GATE, method=method, with_certificate=True)
         assert choice.optimal is None
         assert choice.upper_bound is None
 

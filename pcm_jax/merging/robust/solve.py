@@ -29,13 +29,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import PoseProblem
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.merging._alignment import aligned_anchors
 from pcm_jax.merging.groups import robot_groups
-from pcm_jax.merging.joint import joint_graph
+from pcm_jax.merging.joint import cut_apart, joint_graph
 from pcm_jax.merging.robust.methods import (
     ACCEPTED_SCALE,
     ROBUST_METHODS,
@@ -52,9 +52,9 @@ LEAST_SCALE = 1e-6
 """Instead of zero, so that robots which all closures are rejected between stay in one system."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class RobustSolution:
-    """What a robust method ended with.
+    """The end of a robust method.
 
     Attributes:
         maps: the robots' maps where the solve left them: robots that candidate closures connect
@@ -78,9 +78,17 @@ class RobustSolution:
     iterations: int
     converged: bool
 
+    def __repr__(self) -> str:
+        end = "settled" if self.converged else "not settled"
+        return (
+            f"RobustSolution({int(self.accepted.sum())} of {len(self.scale)} closures accepted)\n"
+            f"  scales  {self.scale.min(initial=1.0):.3g} to {self.scale.max(initial=0.0):.3g}\n"
+            f"  cost    {self.cost:.6g}, {end} after {self.iterations} turns"
+        )
+
     @property
     def accepted(self) -> Bool[np.ndarray, " m"]:
-        """Closures with s ≥ 1/2."""
+        """The closures with s ≥ 1/2."""
         return self.scale >= ACCEPTED_SCALE
 
 
@@ -124,11 +132,9 @@ def solve_robustly(
     ]
     maps, scale, squared = list(graph.maps), np.ones(len(every)), np.zeros(len(every))
     for members, used, turn in parts:
-        scale[used], squared[used], first = turn.scale, turn.squared, 0
-        for robot in members:
-            rows = slice(first, first + graph.maps[robot].num_poses)
-            maps[robot] = maps[robot].with_poses(lie.take(turn.poses, rows))
-            first = rows.stop
+        scale[used], squared[used] = turn.scale, turn.squared
+        for robot, poses in cut_apart(graph, members, turn.poses):
+            maps[robot] = maps[robot].with_poses(poses)
     turns = [turn for _, _, turn in parts]
     return RobustSolution(
         maps=tuple(maps),
@@ -166,7 +172,7 @@ def _solve_group(
         warnings.warn(
             f"merged map {joint.name!r}: the weights of the closures did not settle in "
             f"{turns.iterations} turns",
-            InputWarning,
+            ConvergenceWarning,
             stacklevel=2,
         )
     return members, used, turns

@@ -1,4 +1,4 @@
-"""How much a closure still counts, given how badly it fits: the kernels of the robust merge.
+"""Weights of closures, given how badly they fit: the kernels of the robust merge.
 
 Each turns squared residuals χ² = rᵀΩr into factors w of the information. Pure functions of arrays,
 NumPy's or JAX's, of any shape; elementwise.

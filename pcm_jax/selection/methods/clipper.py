@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pcm_jax.selection._distances import consistent_pairs, symmetrised
-from pcm_jax.selection.choice import Choice
+from pcm_jax.selection.method import Choice, SelectionMethod
 
 MOST_PENALTIES = 100
 MOST_STEPS = 1_000
@@ -92,3 +92,6 @@ def _clique_in(u: np.ndarray, edges: Bool[np.ndarray, "m m"]) -> Bool[np.ndarray
         if u[index] > SUPPORT * u.max() and edges[index][members].all():
             members[index] = True
     return members
+
+
+METHODS = (SelectionMethod("clipper", clipper),)

@@ -2,19 +2,29 @@
 
 J. G. Mangelson, D. Dominic, R. M. Eustice and R. Vasudevan, ICRA 2018, sections IV and V: a
 maximum clique of the consistency graph. Needs m² squared distances and a gate, or that graph alone.
+The kernels return the same sets: the exact one by `maximum_clique_batched`, the greedy one because
+candidates only ever leave, so that one sweep in the order of falling degree takes from every start
+at once what the greedy rule would.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Bool, Float
+from typing import Any
 
-from pcm_jax.clique import Clique, maximum_clique
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from pcm_jax.clique import Clique, maximum_clique, maximum_clique_batched
+from pcm_jax.consistency import consistency_graph
 from pcm_jax.errors import InputError
 from pcm_jax.selection._distances import consistent_pairs
-from pcm_jax.selection.choice import Choice
+from pcm_jax.selection.method import Choice, SelectionMethod, at_most
 
 TIE_BREAKS = ("index", "distance")
+KERNEL_LIMIT = 128
+"""Measurements of the exact kernel."""
 
 
 def pcm_exact(
@@ -59,3 +69,38 @@ def pcm_heuristic_in(graph: Bool[np.ndarray, "m m"], *, time_limit: float | None
 
 def _choice(clique: Clique) -> Choice:
     return Choice(clique.members, clique.optimal, clique.upper_bound)
+
+
+def pcm_exact_kernel(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
+    """The kernel of `pcm_exact`, m ≤ 128."""
+    at_most(KERNEL_LIMIT, squared, "pcm-exact")
+    return maximum_clique_batched(consistency_graph(squared, gate)).members
+
+
+def pcm_heuristic_kernel(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
+    """The kernel of `pcm_heuristic`."""
+    return _greedy(consistency_graph(squared, gate))
+
+
+def _greedy(graph: Bool[Array, "m m"]) -> Bool[Array, " m"]:
+    """From every start: always the candidate of largest degree, ties by index; the first best."""
+    order = jnp.argsort(-graph.sum(axis=0), stable=True)
+    ranked = graph[order][:, order]
+
+    def visit(carry: tuple[Array, Array], vertex: tuple[Array, Array]) -> tuple[Any, None]:
+        candidates, members = carry  # [start, vertex]
+        index, near = vertex
+        taken = candidates[:, index]
+        candidates = candidates & (near | ~taken[:, None])
+        return (candidates, members.at[:, index].max(taken)), None
+
+    starts = jnp.eye(len(graph), dtype=bool)
+    (_, members), _ = jax.lax.scan(visit, (ranked, starts), (jnp.arange(len(graph)), ranked))
+    best = members[jnp.argmax(members.sum(axis=1))]
+    return jnp.zeros_like(best).at[order].set(best)
+
+
+METHODS = (
+    SelectionMethod("pcm-exact", pcm_exact, pcm_exact_in, pcm_exact_kernel, None),
+    SelectionMethod("pcm-heuristic", pcm_heuristic, pcm_heuristic_in, pcm_heuristic_kernel),
+)

@@ -1,0 +1,166 @@
+"""`Evidence`: what every pair of robots' closures say of each other, computed once.
+
+Everything before it (maps, covariances, Q, the streamed graph) costs time; everything after it
+(gates, methods, weights, explanations) is cheap and can be asked again and again. `weigh` makes it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.streaming import PackedGraph
+from pcm_jax.errors import InputError
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+
+KEPT_GATES = 2
+"""Streamed graphs that a pair of robots keeps, of the gates asked for last."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PairEvidence:
+    """The evidence of the k closures between two robots: what they say of each other.
+
+    Attributes:
+        robot_a: index of the robot with the smaller index.
+        robot_b: index of the other.
+        closures: int64 [k], their indices among the graph's closures, ascending.
+        measured: the closures themselves, turned to run from a to b; None where there are none to
+            speak of (`from_squared`).
+    """
+
+    robot_a: int
+    robot_b: int
+    closures: Int[np.ndarray, " k"]
+    measured: LoopClosures | None = None
+    _squared: Float[np.ndarray, "k k"] | None = None
+    _stream: Callable[[float], PackedGraph] | None = None
+    _kept: OrderedDict[float, PackedGraph] = field(default_factory=OrderedDict)
+    _lock: Any = field(default_factory=threading.Lock)
+
+    @classmethod
+    def from_squared(cls, squared: Float[np.ndarray, "k k"]) -> PairEvidence:
+        """Makes evidence of a matrix of one's own, as if between robots 0 and 1.
+
+        Args:
+            squared: [k, k], `[u, v]` is q²_uv, not necessarily symmetric.
+
+        Raises:
+            InputError: unless it is a square matrix of numbers.
+        """
+        return cls(0, 1, np.arange(len(squared)), None, checked_squared(squared))
+
+    def __len__(self) -> int:
+        return len(self.closures)
+
+    def __repr__(self) -> str:
+        kept = "distances kept" if self._squared is not None else "streamed: a graph for each gate"
+        return (
+            f"PairEvidence(robots {self.robot_a} and {self.robot_b})\n"
+            f"  closures  {len(self)}\n"
+            f"  evidence  {kept}"
+        )
+
+    @property
+    def is_streamed(self) -> bool:
+        """True where the distances took more memory than allowed: only graphs are at hand."""
+        return self._squared is None
+
+    @property
+    def squared(self) -> Float[np.ndarray, "k k"]:
+        """Squared Mahalanobis distances (paper, eq. 4), float64, not symmetrised.
+
+        Raises:
+            InputError: if they take more memory than `weigh` was allowed.
+        """
+        if self._squared is None:
+            raise InputError(
+                f"squared: not kept for the {len(self)} closures between robots {self.robot_a} "
+                f"and {self.robot_b}, expected a larger memory_limit for them"
+            )
+        return self._squared
+
+    def packed(self, gate: float) -> PackedGraph:
+        """The consistency graph, one bit a pair; a streamed one is kept for the last gates."""
+        if self._squared is not None:
+            dense = np.asarray(consistency_graph(self._squared, gate))  # type: ignore[arg-type]
+            return PackedGraph(np.packbits(dense, axis=1), len(dense))
+        with self._lock:
+            if gate not in self._kept:
+                self._kept[gate] = self._stream(gate)  # type: ignore[misc]
+                while len(self._kept) > KEPT_GATES:
+                    self._kept.popitem(last=False)
+            return self._kept[gate]
+
+    def consistent(self, gate: float) -> Bool[np.ndarray, "k k"]:
+        """The consistency graph, k² bytes.
+
+        A streamed pair weighs its closures anew for a gate that was not among the last two.
+
+        Args:
+            gate: γ², see `chi2_gate`.
+        """
+        if self._squared is None:
+            return self.packed(gate).dense()
+        return np.asarray(consistency_graph(self._squared, gate))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Evidence:
+    """The evidence of a graph: what its closures say of each other, for every pair of robots.
+
+    Attributes:
+        graph: as given.
+        maps: the optimised maps that the distances were measured in.
+        covariances: a `MapCovariance` of each map, factorised when first asked.
+        pairs: one `PairEvidence` per pair of robots that closures join, by robot index.
+        metric: "mahalanobis", or the name of the function that measured.
+        seconds: wall-clock time of "optimize", "marginals" and "consistency".
+    """
+
+    graph: MultiRobotGraph
+    maps: tuple[PoseGraph, ...]
+    covariances: tuple[Any, ...]
+    pairs: tuple[PairEvidence, ...]
+    metric: str
+    seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        names = self.graph.names
+        told = [f"{names[p.robot_a]}-{names[p.robot_b]} {len(p)}" for p in self.pairs]
+        return (
+            f"Evidence({len(self.maps)} maps, {len(self.graph.closures)} closures)\n"
+            f"  pairs   {', '.join(told) or 'none'}\n"
+            f"  metric  {self.metric}, {sum(self.seconds.values()):.2g} s"
+        )
+
+    @property
+    def optimized(self) -> MultiRobotGraph:
+        """The optimised maps with all closures."""
+        return MultiRobotGraph(self.maps, self.graph.closures)
+
+    @property
+    def tangent_dim(self) -> int:
+        """d: 3 for SE(2), 6 for SE(3)."""
+        return self.graph.tangent_dim
+
+
+def checked_squared(squared: Any, what: str = "squared") -> Float[np.ndarray, "k k"]:
+    """A matrix of squared distances as float64.
+
+    Raises:
+        InputError: unless it is square, and of numbers.
+    """
+    distances = np.asarray(squared)
+    if distances.ndim != 2 or distances.shape[0] != distances.shape[1]:
+        raise InputError(f"{what}: shape {distances.shape}, expected [m, m]")
+    if distances.dtype.kind not in "iuf":
+        raise InputError(f"{what}: dtype {distances.dtype}, expected numbers")
+    return distances.astype(np.float64)

@@ -1,0 +1,177 @@
+"""`weigh`: steps i and ii for every pair of robots, once."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from pcm_jax.arrays import on_host
+from pcm_jax.consistency import (
+    Evidence,
+    PackedGraph,
+    PairEvidence,
+    problem_from_covariances,
+    squared_mahalanobis,
+    stream_from_covariances,
+)
+from pcm_jax.consistency.evidence import checked_squared
+from pcm_jax.consistency.problem import bytes_needed, check_pair
+from pcm_jax.errors import ConvergenceWarning, InputError
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.mapping import MapCovariance, optimize
+from pcm_jax.pipeline.stages import Progress, StopWatch, silent
+
+MEMORY_LIMIT = 2e9
+"""Bytes for the distances between two robots' closures."""
+
+Metric = Callable[[PoseGraph, PoseGraph, LoopClosures], Float[np.ndarray, "k k"]]
+"""A function of one's own: squared distances of the closures, all from map a to map b."""
+
+MAHALANOBIS = "mahalanobis"
+
+
+@on_host
+def weigh(
+    graph: MultiRobotGraph,
+    *,
+    metric: str | Metric | None = None,
+    optimized: bool = False,
+    memory_limit: float = MEMORY_LIMIT,
+    progress: Progress | None = None,
+) -> Evidence:
+    """Weighs the closures of every pair of robots against each other: steps i and ii of the paper.
+
+    Each map is optimised and factorised once; the joint covariance of the poses that a pair's
+    closures touch gives the squared Mahalanobis distances of all pairs of closures. `select` and
+    `merge` take the result in place of the graph, so that asking again with another gate or method
+    costs neither.
+
+        evidence = pcm_jax.weigh(graph)
+        for confidence in (0.5, 0.9, 0.99):
+            print(confidence, pcm_jax.select(evidence, confidence=confidence).accepted.sum())
+
+    Args:
+        graph: the robots' maps and the closures between them.
+        metric: None or "mahalanobis": the loop error of eq. 4. Or a function of one's own,
+            `metric(map_a, map_b, closures) -> [k, k]`, of optimised maps and closures that all run
+            from a to b: anything that falls below a gate where two closures agree.
+        optimized: whether the maps are at their optimum already.
+        memory_limit: bytes for the distances between two robots' closures. Where they take more (at
+            2 GB from about 1,500 closures in space or 2,900 in the plane on, all at poses of their
+            own), `PairEvidence` has no `squared`; its graph is found panel by panel when a gate is
+            known (`stream_consistency_graph`).
+        progress: called with a stage ("optimize", "consistency"), how many of its parts are done,
+            and how many there are.
+
+    Returns:
+        The evidence; float64, on the host, whatever the caller's settings.
+
+    Raises:
+        InputError: for another metric, a limit that is no number, what optimising the maps
+            raises, and a metric's result of another shape.
+
+    Warns:
+        ConvergenceWarning: for a map whose optimisation stopped before it converged.
+    """
+    metric = _checked_metric(metric)
+    memory_limit = checked_limit(memory_limit)
+    tell, watch = progress or silent, StopWatch()
+    with watch("optimize"):
+        maps = optimized_maps(graph.maps, optimized, tell)
+    covariances = tuple(map(MapCovariance, maps))
+    pairs, between = [], graph.closures.pairs()
+    for number, (a, b) in enumerate(between):
+        tell("consistency", number, len(between))
+        closures, indices = graph.closures.between(a, b)
+        if callable(metric):
+            with watch("consistency"):
+                own = _measured(metric, maps[a], maps[b], closures)
+            pairs.append(PairEvidence(a, b, indices, closures, own))
+        elif bytes_needed(closures) > memory_limit:
+            stream = functools.partial(
+                _streamed, covariances[a], covariances[b], closures, progress=tell
+            )
+            pairs.append(PairEvidence(a, b, indices, closures, None, stream))
+        else:
+            squared = _weighed(covariances[a], covariances[b], closures, watch)
+            pairs.append(PairEvidence(a, b, indices, closures, squared))
+    tell("consistency", len(between), len(between))
+    name = getattr(metric, "__name__", "function") if callable(metric) else MAHALANOBIS
+    return Evidence(graph, maps, covariances, tuple(pairs), name, watch.seconds)
+
+
+def optimized_maps(
+    maps: tuple[PoseGraph, ...], optimized: bool, tell: Progress = silent
+) -> tuple[PoseGraph, ...]:
+    """Each map at its own optimum; the given ones if they are `optimized` already."""
+    if optimized:
+        return maps
+    found = []
+    for number, one in enumerate(maps):
+        tell("optimize", number, len(maps))
+        found.append(_optimised(one))
+    tell("optimize", len(maps), len(maps))
+    return tuple(found)
+
+
+def checked_limit(memory_limit: float) -> float:
+    """Bytes of at least 0; `InputError` for anything else."""
+    if not memory_limit >= 0:
+        raise InputError(f"memory_limit: {memory_limit}, expected bytes, at least 0")
+    return memory_limit
+
+
+def _optimised(pose_graph: PoseGraph) -> PoseGraph:
+    solution = optimize(pose_graph)
+    if not solution.converged:
+        warnings.warn(
+            f"map {pose_graph.name!r}: optimisation stopped after {solution.iterations} steps "
+            "before it converged, its covariances are those of where it stopped",
+            ConvergenceWarning,
+            stacklevel=3,
+        )
+    return solution.graph
+
+
+def _weighed(
+    a: MapCovariance, b: MapCovariance, closures: LoopClosures, watch: StopWatch
+) -> Float[np.ndarray, "k k"]:
+    with watch("marginals"):
+        problem = problem_from_covariances(a, b, closures)
+    with watch("consistency"):
+        return np.asarray(squared_mahalanobis(problem))
+
+
+def _streamed(
+    a: MapCovariance, b: MapCovariance, closures: LoopClosures, gate: float, *, progress: Progress
+) -> PackedGraph:
+    return stream_from_covariances(a, b, closures, gate, progress=progress)
+
+
+def _checked_metric(metric: Any) -> Any:
+    if metric is None or metric == MAHALANOBIS:
+        return MAHALANOBIS
+    if not callable(metric):
+        raise InputError(
+            f"metric: {metric!r}, expected None, {MAHALANOBIS!r} or a function of two maps and the "
+            "closures between them"
+        )
+    return metric
+
+
+def _measured(
+    metric: Metric, map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures
+) -> Float[np.ndarray, "k k"]:
+    check_pair(map_a, map_b, closures)
+    name, count = getattr(metric, "__name__", "function"), len(closures)
+    squared = checked_squared(metric(map_a, map_b, closures), f"metric: {name!r} returned")
+    if len(squared) != count:
+        raise InputError(
+            f"metric: {name!r} returned shape {squared.shape}, expected {(count, count)}"
+        )
+    return squared
