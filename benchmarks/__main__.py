@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.suite import headlines, report
-from benchmarks.suite.harness import DATA, Case, Settings, chosen, run, write_json
+from benchmarks.suite.harness import DATA, Case, Settings, chosen, run
+from pcm_jax.store import write_json
 
 SUBJECTS = (
     "optimization",

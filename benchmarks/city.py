@@ -52,11 +52,12 @@ from benchmarks.experiments.city_report import (
     write_sweep,
 )
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
-from benchmarks.experiments.record import LIBRARY, Steps, means_by_method, write_csv
-from benchmarks.suite.harness import DATA, write_json
+from benchmarks.experiments.record import LIBRARY, means_by_method, write_csv
+from benchmarks.suite.harness import DATA
 from pcm_jax.experiments import Compared, Method, compare_methods
 from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER
 from pcm_jax.simulation import SimulatedWorld
+from pcm_jax.store import Store, digest, write_json
 
 CITY = DATA / "city10000" / "city10000.g2o.xz"
 TRUTH = "*groundtruth*"  # beside the data
@@ -69,7 +70,7 @@ ROWS = {"paper": PAPER, "all": PAPER | CALIBRATED | BEYOND_THE_PAPER | BINARY}
 
 
 class Source(NamedTuple):
-    """Where the city and its false closures come from; all that a version's world depends on.
+    """The city and the law of its false closures: all that a version's world depends on.
 
     Attributes:
         data, truth: files; None: simulated.
@@ -89,7 +90,7 @@ class Source(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """What is done with every version.
+    """The work done on every version.
 
     Attributes:
         methods: rows by label.
@@ -109,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     start, source = time.perf_counter(), source_of(parser, options)._replace(law=law)
     comparison = Comparison(ROWS[options.rows], not options.no_sweep, options.engine)
     options.out.mkdir(parents=True, exist_ok=True)
-    steps = Steps(options.out / "steps", (source, comparison), sources())
+    steps = Store(options.out / "steps", digest((source, comparison), files=sources()))
     tasks = {
         f"{seed}-{number:04}": partial(run_version, source, comparison, seed, number)
         for seed in options.seeds
@@ -133,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_version(
     source: Source, comparison: Comparison, seed: int, number: int
 ) -> dict[str, dict[str, Any]]:
-    """What every method makes of one version: figures by method, and by method of the sweep.
+    """Runs every method on one version: figures by method, and by method of the sweep.
 
     `start_errors` are those of `cities.start_errors`.
     """

@@ -1,4 +1,4 @@
-"""How Table I moves with what the paper leaves open: the false closures' law and number.
+"""Table I under other laws and numbers of false closures, which the paper leaves open.
 
     python -m benchmarks.city_laws --versions 81 --out DIR
     python -m benchmarks.city_laws --study shares --information sqrt --versions 20 --out DIR
@@ -24,14 +24,14 @@ from benchmarks import city
 from benchmarks.experiments.cities import Law
 from benchmarks.experiments.city_report import IN_THE_PAPER
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
-from benchmarks.experiments.record import Steps, means_by_method
-from benchmarks.suite.harness import write_json
+from benchmarks.experiments.record import means_by_method
 from pcm_jax.evaluation import comparison_table
 from pcm_jax.experiments import Method
+from pcm_jax.store import Store, digest, write_json
 
 
 class Study(NamedTuple):
-    """What is varied, and who has to stand it.
+    """The laws that are varied, and the methods that have to stand it.
 
     Attributes:
         laws: of the false closures, and the factor of all covariances.
@@ -89,7 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for seed in options.seeds
         for number in range(options.versions)
     }
-    steps = Steps(options.out / "steps", (here, study), [*city.sources(), Path(__file__)])
+    stamp = digest(here, study, files=[*city.sources(), Path(__file__)])
+    steps = Store(options.out / "steps", stamp)
     results = run_tasks(f"versions under all {options.study}", tasks, steps, jobs=options.jobs)
     summary = {
         law: means_by_method(run for name, run in results.items() if name.startswith(f"{k}-"))

@@ -1,4 +1,4 @@
-"""How much the right covariance matters: drift and loops grow, and Q is computed in three ways.
+"""The worth of the right covariance: drift and loops grow, and Q is computed in three ways.
 
     python -m benchmarks.covariances --worlds 20 --out DIR [--kinds city sessions]
 
@@ -47,10 +47,8 @@ from benchmarks.experiments.drifting import (
     candidates,
     odometry,
     points,
-    with_edges,
 )
-from benchmarks.experiments.record import LIBRARY, Steps, write_csv
-from benchmarks.suite.harness import write_json
+from benchmarks.experiments.record import LIBRARY, write_csv
 from pcm_jax import (
     MultiRobotGraph,
     PoseGraph,
@@ -63,6 +61,7 @@ from pcm_jax import (
 )
 from pcm_jax.arrays import on_host
 from pcm_jax.evaluation.metrics import false_positive_rate, pose_error, true_positive_rate
+from pcm_jax.store import Store, digest, write_json
 
 COVARIANCES = ("joint", "odometry-chain", "independent")
 REFERENCE = "no-outliers"
@@ -75,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     start = time.perf_counter()
     options.out.mkdir(parents=True, exist_ok=True)
-    steps = Steps(options.out / "steps", (MERGED, CONFIDENCES), SOURCES)
+    steps = Store(options.out / "steps", digest((MERGED, CONFIDENCES), files=SOURCES))
     tasks = {
         f"{name}-{point.drift:g}-{point.share:g}-{seed}-{number:03}": partial(
             run_world, KINDS[name], point, seed, number
@@ -108,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @on_host
 def run_world(kind: Kind, point: Point, seed: int, number: int) -> dict[str, Any]:
-    """What the three covariances make of one world: figures by row, rates by confidence."""
+    """Judges one world by the three covariances: figures by row, rates by confidence."""
     world = candidates(kind, point, seed, number)
     errors: dict[bytes, dict[str, float]] = {}
     methods, gates = {REFERENCE: _map_error(world, world.right, errors)}, {}
@@ -138,9 +137,9 @@ def squared_distances(graph: MultiRobotGraph) -> dict[str, Float[np.ndarray, "m 
 
 
 def _of_map(one: PoseGraph, touched: np.ndarray) -> dict[str, Float[np.ndarray, "kd kd"]]:
-    """What `consistency_problem` takes as the `marginals` of a map."""
+    """Covariances that `consistency_problem` takes as the `marginals` of a map."""
     joint = joint_marginal_covariance(one, touched)
-    alone = with_edges(one, odometry(one))  # at the optimised poses: only the covariance differs
+    alone = one.with_edges(odometry(one))  # at the optimised poses: only the covariance differs
     own = np.kron(np.eye(len(touched)), np.ones((one.tangent_dim, one.tangent_dim)))
     chain = joint_marginal_covariance(alone, touched)
     return dict(zip(COVARIANCES, (joint, chain, own * joint), strict=True))
@@ -161,7 +160,7 @@ def _rates(world: Candidates, squared: np.ndarray, gate: float, accepted: Any) -
 def _map_error(
     world: Candidates, accepted: np.ndarray, known: dict[bytes, dict[str, float]]
 ) -> dict[str, float]:
-    """Of the maps merged by these closures, in the frame of the first true pose."""
+    """Error of the maps merged by these closures, in the frame of the first true pose."""
     key = accepted.tobytes()
     if key not in known:
         merged = merge(world.graph, accepted=accepted, optimized=True)

@@ -1,4 +1,4 @@
-"""How time and memory grow with the number of closures, to 50,000.
+"""Growth of time and memory with the number of closures, to 50,000.
 
     python -m benchmarks.growth --out DIR
 
@@ -23,13 +23,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
-from benchmarks.experiments.record import LIBRARY, Steps
-from benchmarks.suite.harness import ROOT, write_json
+from benchmarks.experiments.record import LIBRARY
+from benchmarks.suite.harness import ROOT
 from benchmarks.suite.measure import peak_memory
 from benchmarks.suite.streaming import streamed, world
 from pcm_jax import maximum_clique
 from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import comparison_table
+from pcm_jax.store import Store, digest, write_json
 
 COUNTS = (2_000, 5_000, 10_000, 20_000, 50_000)
 SOURCES = (*LIBRARY, ROOT / "benchmarks" / "suite" / "streaming.py")
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     start = time.perf_counter()
     options.out.mkdir(parents=True, exist_ok=True)
-    steps = Steps(options.out / "steps", options.seeds, SOURCES)
+    steps = Store(options.out / "steps", digest(options.seeds, files=SOURCES))
     tasks = {
         f"{count}-{seed}": partial(_apart, count, seed)
         for count in sorted(options.closures)

@@ -1,4 +1,4 @@
-"""What training through the consistency check and the merge is worth.
+"""The worth of training through the consistency check and the merge.
 
     python -m benchmarks.learning --seeds 0 1 2 3 4 --out DIR
 
@@ -55,14 +55,13 @@ from benchmarks.experiments.learning_model import (
 from benchmarks.experiments.learning_worlds import LearningWorld, worlds
 from benchmarks.experiments.record import (
     LIBRARY,
-    Steps,
     means_by_method,
     rows_by_method,
     write_csv,
 )
-from benchmarks.suite.harness import write_json
 from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import comparison_table
+from pcm_jax.store import Store, digest, write_json
 
 MOST_FALSE = 1e-3
 SCALES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
@@ -94,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     start = time.perf_counter()
     options.out.mkdir(parents=True, exist_ok=True)
-    steps = Steps(options.out / "steps", (options.train, options.test), SOURCES)
+    steps = Store(options.out / "steps", digest((options.train, options.test), files=SOURCES))
     tasks = {
         f"seed-{seed}": partial(run_seed, seed, options.train, options.test)
         for seed in options.seeds
@@ -165,7 +164,7 @@ def threshold_at(most_false: float, scores: Any, right: Any) -> float:
 
 
 def _best_scale(known: LearningWorld, score: Callable[[LearningWorld], Any]) -> float:
-    """Of `SCALES`, the one of the highest TPR at FPR <= 0.1 %."""
+    """The one of `SCALES` with the highest TPR at FPR <= 0.1 %."""
 
     def true_rate(scale: float) -> float:
         scores, _ = _selected(known, _alike(known, scale)._replace(score=score(known)))
@@ -211,7 +210,7 @@ def _figures(
 
 
 def _median(errors: np.ndarray) -> float:
-    """What has no map counts as worst."""
+    """The median, in which what has no map counts as worst."""
     return float(np.median(np.where(np.isnan(errors), np.inf, errors)))
 
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
 from benchmarks.experiments.one_dimensional import METHODS, SETTINGS, Setting, select_timed
-from benchmarks.experiments.record import PACKAGE, Steps, write_csv
+from benchmarks.experiments.record import PACKAGE, write_csv
 from benchmarks.experiments.solver_timing import (
     SIZES,
     draw_timing,
@@ -40,8 +40,8 @@ from benchmarks.experiments.solver_timing import (
     timing_rows,
     timing_summary,
 )
-from benchmarks.suite.harness import write_json
 from pcm_jax.consistency import consistency_graph
+from pcm_jax.store import Store, digest, write_json
 
 PAPER = 98.97  # % of the worlds in which the heuristic's set is as large as the largest
 CHUNK = 10_000
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def histograms(setting: Setting, options: argparse.Namespace) -> dict[str, dict[str, float]]:
     """Fig. 2: how each method's sets compare with the largest; the summary."""
-    steps = Steps(options.out / "steps", (setting, options.worlds, CHUNK), SOURCES)
+    steps = Store(options.out / "steps", digest((setting, options.worlds, CHUNK), files=SOURCES))
     tasks = {
         f"{seed}-{start // CHUNK:04}": partial(
             compare_worlds, setting, min(CHUNK, options.worlds - start), seed, start // CHUNK
@@ -103,7 +103,7 @@ def histograms(setting: Setting, options: argparse.Namespace) -> dict[str, dict[
 def compare_worlds(
     setting: Setting, worlds: int, seed: int, number: int, methods: Sequence[str] = METHODS
 ) -> Counts:
-    """What methods do in a chunk of worlds, the first of which finds the largest sets.
+    """Runs methods on a chunk of worlds; the first of them finds the largest sets.
 
     A whole chunk is always simulated, so that shapes and worlds are those of longer runs.
     """
@@ -127,12 +127,12 @@ def compare_worlds(
 
 
 def sweep(options: argparse.Namespace) -> dict[str, Any]:
-    """How often methods find a set as large as the largest, over settings; sweep.csv."""
+    """Counts how often methods find a set as large as the largest, over settings; sweep.csv."""
     counts = ((4, 3, 5), (5, 4, 9), (6, 4, 14))
     spread = itertools.product((4.0, 20.0), (2.0, 8.0, 32.0), (0.5, 0.8, 0.95))
     settings = [Setting(*n, 3.0, *others) for n, others in itertools.product(counts, [*spread])]
     settings.append(SETTINGS["plausible"])
-    steps = Steps(options.out / "steps", (options.worlds, CHUNK), SOURCES)
+    steps = Store(options.out / "steps", digest((options.worlds, CHUNK), files=SOURCES))
     tasks = {
         f"{number:03}-{seed}": partial(sweep_setting, setting, options.worlds, seed)
         for number, setting in enumerate(settings)
@@ -175,7 +175,7 @@ def sweep_setting(setting: Setting, worlds: int, seed: int) -> dict[str, float]:
 def timing(setting: Setting, options: argparse.Namespace) -> dict[str, Any]:
     """Fig. 3: times of one world after another, and of batches; timing.csv."""
     how = options.worlds, options.time_limit, options.seeds[0]
-    steps = Steps(options.out / "steps", (setting, *how), SOURCES)
+    steps = Store(options.out / "steps", digest((setting, *how), files=SOURCES))
     results = time_solvers(setting, options.sizes, *how, steps)
     write_csv(options.out / "timing.csv", timing_rows(results))
     draw_timing(results, options.out / "timing.png")

@@ -50,7 +50,7 @@ from benchmarks.experiments.real_candidate_report import (
     write_results,
 )
 from benchmarks.experiments.real_candidates import Candidates, Factors
-from benchmarks.experiments.record import LIBRARY, Steps
+from benchmarks.experiments.record import LIBRARY
 from benchmarks.suite.harness import DATA
 from pcm_jax import (
     InputWarning,
@@ -67,6 +67,7 @@ from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import ate_rmse
 from pcm_jax.experiments import Compared, Method, compare_methods
 from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
+from pcm_jax.store import Store, digest
 
 ALL_METHODS = PAPER | CALIBRATED | BEYOND_THE_PAPER
 SOME_METHODS = {
@@ -80,7 +81,7 @@ SWEPT = ("pcm-exact", "ransac")
 
 
 class Arm(NamedTuple):
-    """What the two robots' maps are made of.
+    """The edges that the two robots' maps are made of.
 
     Attributes:
         maps: "odometry", "cleaned" or "as-found".
@@ -126,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     start, names = time.perf_counter(), _names(parser, options)
     options.out.mkdir(parents=True, exist_ok=True)
     sources = [*LIBRARY, Path(__file__), Path(real.__file__)]
-    steps = Steps(options.out / "steps", (options.data.name, options.cuts), sources)
+    steps = Store(options.out / "steps", digest((options.data.name, options.cuts), files=sources))
     loosest = {name.rpartition("_")[0]: name for name in reversed(names)}.values()
     single = {name: partial(run_one_robot, options.data, name) for name in names}
     double = {
@@ -151,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_one_robot(data: Path, name: str) -> dict[str, Any]:
-    """What becomes of one trajectory with all its candidates: figures by method, and the noise."""
+    """Judges one trajectory with all its candidates: figures by method, and the noise."""
     candidates = load(data, name)
     graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
     written = selection_of(data, name)
@@ -170,7 +171,7 @@ def run_one_robot(data: Path, name: str) -> dict[str, Any]:
 
 
 def run_two_robots(data: Path, name: str, number: int, cuts: int, loosest: bool) -> dict[str, Any]:
-    """What methods make of two sessions, in all arms; nothing where none is right."""
+    """Runs methods on two sessions, in all arms; nothing where none is right."""
     candidates = load(data, name)
     cut = candidates.graph.num_poses * (number + 1) // (cuts + 1)
     right = candidates.is_true[across(candidates.graph, cut)]
@@ -200,7 +201,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
     accepted = select_within(graph).kept
     solved = {
         "candidates all accepted": optimize(graph).graph,
-        "select_within": optimize(real.with_edges(graph, accepted)).graph,
+        "select_within": optimize(graph.with_edges(accepted)).graph,
     }
     runs = [run for run in versions.values() if is_version(run, name)]
     hardest = max(runs, key=lambda run: run["largest_false_set"] / run["largest_right_set"])
@@ -231,7 +232,7 @@ def load(data: Path, name: str) -> Candidates:
 
 @lru_cache(maxsize=1)
 def selection_of(data: Path, name: str) -> Any:
-    """What `select_within` accepts of the whole trajectory, information as written."""
+    """The selection of `select_within` on the whole trajectory, information as written."""
     return select_within(load(data, name).graph)
 
 
@@ -254,7 +255,7 @@ def sessions(graph: PoseGraph, cut: int, maps: str) -> MultiRobotGraph:
         first = lie.inverse(lie.take(lie.as_numpy(one.poses), 0))
         own = one.with_poses(lie.compose(first, lie.as_numpy(one.poses)))
         if maps == "odometry":
-            own = real.with_edges(own, real.steps(own))
+            own = own.with_edges(real.steps(own))
         elif maps == "cleaned" and not real.steps(own).all():
             own = select_within(own).graph
         made.append(own)
@@ -277,7 +278,7 @@ def across(graph: PoseGraph, cut: int) -> np.ndarray:
 def _trajectory(candidates: Candidates, kept: np.ndarray, seconds: float) -> dict[str, Any]:
     """Figures of the trajectory with some of its candidates, information as written."""
     graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
-    solution = optimize(real.with_edges(graph, kept))
+    solution = optimize(graph.with_edges(kept))
     accepted = kept & ~odometry
     freedom = graph.tangent_dim * max(1, int(accepted.sum()))
     return {
@@ -331,7 +332,7 @@ def _sets_and_sweep(graph: MultiRobotGraph, right: np.ndarray) -> dict[str, Any]
 
 
 def _agreement(candidates: Candidates, selection: Any) -> dict[str, float]:
-    """Whether false candidates inside one map agree with each other."""
+    """Measures whether false candidates inside one map agree with each other."""
     false = np.flatnonzero(~candidates.is_true[selection.closures])
     squared = np.maximum(selection.squared, selection.squared.T)[np.ix_(false, false)]
     pairs = squared[np.triu_indices(len(false), 1)] <= selection.gate
@@ -346,7 +347,7 @@ def _largest(squared: np.ndarray, gate: float, rows: np.ndarray) -> int:
 
 
 def _by_tolerance(candidates: Candidates, selection: Any) -> dict[str, dict[str, Any]]:
-    """What the accepted set is worth where "right" means within another tolerance."""
+    """The accepted set's worth where "right" means within another tolerance."""
     rates = {}
     for metres, degrees in real.TOLERANCES:
         right = real.within_tolerance(candidates.graph, candidates.truth, (metres, degrees))

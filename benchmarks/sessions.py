@@ -44,7 +44,6 @@ from benchmarks.experiments.nclt import (
 )
 from benchmarks.experiments.record import (
     LIBRARY,
-    Steps,
     means_by_method,
     rows_by_method,
     write_csv,
@@ -56,12 +55,13 @@ from benchmarks.experiments.registrations import (
     neighbours,
     number_of_candidates,
 )
-from benchmarks.suite.harness import DATA, write_json
+from benchmarks.suite.harness import DATA
 from pcm_jax import InputError, MultiRobotGraph, chi2_gate, lie, select
 from pcm_jax.evaluation import ate_rmse, comparison_table
 from pcm_jax.experiments import Compared, compare_methods
 from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
 from pcm_jax.simulation import simulate_sessions
+from pcm_jax.store import Store, digest, write_json
 
 NCLT = DATA / "nclt"
 SESSIONS = ("2012-08-04", "2012-10-28")
@@ -102,7 +102,7 @@ KINDS_EXPLAINED = (
 
 
 class Source(NamedTuple):
-    """Where the sessions come from; all that the results depend on, but for the versions.
+    """The origin of the sessions: all that the results depend on, but for the versions.
 
     Attributes:
         data: NCLT's folder; None: simulated.
@@ -127,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         about = _about(source)
     except InputError as error:
         parser.error(str(error))
-    steps = Steps(options.out / "steps", (source, methods, METHODS), _sources())
+    steps = Store(options.out / "steps", digest((source, methods, METHODS), files=_sources()))
     tasks = {
         f"{seed}-{number:04}": partial(run_version, source, methods, seed, number)
         for seed in options.seeds
@@ -156,7 +156,7 @@ def write_results(
 
 
 def run_version(source: Source, methods: Sequence[str], seed: int, number: int) -> dict[str, Any]:
-    """What methods make of one version: figures by method, and how the maps and Q turned out."""
+    """Runs methods on one version: figures by method, and how the maps and Q turned out."""
     version = draw(source, seed, number)
     graph, squared = _optimised(version.graph)
     results = _compared(graph, version, methods)
@@ -284,7 +284,7 @@ def _inside(squared: np.ndarray, is_true: np.ndarray) -> dict[str, float]:
 
 
 def _about(source: Source) -> dict[str, Any]:
-    """What was read, and the noise of its odometry."""
+    """Facts about what was read, and the noise of its odometry."""
     stand_in = None if source.data else "simulated sessions: NCLT's files are absent"
     entries: dict[str, Any] = {"stand_in": stand_in, "horizon": source.horizon}
     for name, session in zip(source.names, load(source), strict=True):

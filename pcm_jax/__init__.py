@@ -6,7 +6,24 @@ which may be wrong, to the closures to believe and one merged map:
     graph = pcm_jax.read_graph("a.g2o", "b.g2o", closures="candidates.csv")
     result = pcm_jax.merge(graph)
 
-The names below are loaded when first used, so that `import pcm_jax` costs next to nothing.
+The names below and the modules `evaluation`, `experiments`, `lie`, `plots` and `simulation` are
+loaded when first used, so that `import pcm_jax` costs next to nothing.
+
+These go through JAX's transformations, alone and inside each other; – says that the result is a
+choice, constant between its jumps:
+
+| function | `jit` | `vmap` | `grad` | `jvp` |
+|---|---|---|---|---|
+| `squared_mahalanobis` | yes | yes | yes | yes |
+| `squared_mahalanobis_of` | yes | yes | yes | yes |
+| `chi2_gate` | yes | yes | yes | yes |
+| `consistency_graph` | yes | yes | – | – |
+| `maximum_clique_batched` | yes | yes | – | – |
+| `select_batched` | yes | yes | – | – |
+| `soft_select` | yes | yes | yes | yes |
+| `merge_differentiable` | yes | yes | yes | yes |
+| `true_positive_rate` | yes | yes | – | – |
+| `ate_rmse` | yes | yes | yes | yes |
 """
 
 from __future__ import annotations
@@ -15,7 +32,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcm_jax.clique import Clique, maximum_clique
+    from pcm_jax import evaluation, experiments, lie, plots, simulation  # noqa: F401
+    from pcm_jax.clique import Clique, maximum_clique, maximum_clique_batched
     from pcm_jax.consistency import (
         ConsistencyProblem,
         Evidence,
@@ -30,6 +48,7 @@ if TYPE_CHECKING:
         to_networkx,
     )
     from pcm_jax.errors import ConvergenceWarning, FileFormatError, InputError, InputWarning
+    from pcm_jax.evaluation import ate_rmse, false_positive_rate, precision, true_positive_rate
     from pcm_jax.experiments import sweep
     from pcm_jax.files import (
         from_gtsam,
@@ -47,6 +66,7 @@ if TYPE_CHECKING:
         Selection,
         WithinSelection,
         clean_maps,
+        select_batched,
         select_from,
         select_within,
         soft_select,
@@ -72,20 +92,25 @@ __all__ = [
     "Selection",
     "Solution",
     "WithinSelection",
+    "ate_rmse",
     "chi2_gate",
     "clean_maps",
     "consistency_graph",
     "consistency_problem",
+    "false_positive_rate",
     "from_gtsam",
     "joint_marginal_covariance",
     "maximum_clique",
+    "maximum_clique_batched",
     "merge",
     "merge_differentiable",
     "optimize",
     "pad_graph",
+    "precision",
     "read_graph",
     "read_trajectory",
     "select",
+    "select_batched",
     "select_from",
     "select_within",
     "soft_select",
@@ -96,6 +121,7 @@ __all__ = [
     "sweep",
     "to_gtsam",
     "to_networkx",
+    "true_positive_rate",
     "weigh",
     "write_g2o",
     "write_trajectory",
@@ -126,15 +152,17 @@ _NAMES_OF = {
         "stream_consistency_graph",
         "to_networkx",
     ),
-    "clique": ("Clique", "maximum_clique"),
+    "clique": ("Clique", "maximum_clique", "maximum_clique_batched"),
     "selection": (
         "Selection",
         "WithinSelection",
         "clean_maps",
+        "select_batched",
         "select_from",
         "select_within",
         "soft_select",
     ),
+    "evaluation": ("ate_rmse", "false_positive_rate", "precision", "true_positive_rate"),
     "experiments": ("sweep",),
     "merging": ("MergeResult", "merge_differentiable"),
     "pipeline": ("merge", "select", "weigh"),
@@ -142,7 +170,12 @@ _NAMES_OF = {
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 
 
+_MODULES = ("evaluation", "experiments", "lie", "plots", "simulation")
+
+
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"{__name__}.{name}")
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
@@ -151,4 +184,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, *_MODULES})

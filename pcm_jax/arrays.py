@@ -44,6 +44,16 @@ def host_device() -> Any:
 
 
 @contextmanager
+def standard_rules() -> Iterator[None]:
+    """A scope of JAX's standard rules of promotion, under which the library is written.
+
+    As a decorator, for kernels that users call: strict settings are meant for the user's own code.
+    """
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@contextmanager
 def host_scope() -> Iterator[None]:
     """A scope of 64-bit types, on the CPU, under JAX's standard rules of promotion.
 
@@ -52,8 +62,7 @@ def host_scope() -> Iterator[None]:
     with ExitStack() as scopes:
         scopes.enter_context(jax.enable_x64(True))
         scopes.enter_context(jax.default_device(host_device()))
-        scopes.enter_context(jax.numpy_dtype_promotion("standard"))
-        scopes.enter_context(jax.numpy_rank_promotion("allow"))
+        scopes.enter_context(standard_rules())
         scopes.enter_context(jax.debug_nans(False))  # NaN is how a kernel says "no factor"
         scopes.enter_context(jax.debug_infs(False))
         yield

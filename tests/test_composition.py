@@ -1,8 +1,7 @@
-"""What goes through which transformation: run, not claimed, and written in the README as found."""
+"""Transformations that functions go through: run, not claimed, and in the package's docstring."""
 
 import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -13,16 +12,8 @@ import pytest
 
 import pcm_jax
 from pcm_jax import lie
-from pcm_jax.clique import maximum_clique_batched
-from pcm_jax.evaluation import ate_rmse, true_positive_rate
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
-from pcm_jax.selection import select_batched
 
-README = Path(__file__).resolve().parents[1] / "README.md"
-MARKERS = (
-    "<!-- composition: as test_composition.py finds it -->\n",
-    "<!-- end of composition -->\n",
-)
 YES, CONSTANT = "yes", "–"
 
 
@@ -68,7 +59,15 @@ def cases():
         return pcm_jax.squared_mahalanobis(moved)
 
     def error(step):
-        return ate_rmse(lie.compose(truth, lie.exp(jaxlie.SE2, step)), truth, align="umeyama")
+        return pcm_jax.ate_rmse(
+            lie.compose(truth, lie.exp(jaxlie.SE2, step)), truth, align="umeyama"
+        )
+
+    def clique(squared):
+        return pcm_jax.maximum_clique_batched(squared < gate).members
+
+    def selected(squared):
+        return pcm_jax.select_batched(squared, gate, method="pcm-heuristic")
 
     def merged(weights):
         poses = pcm_jax.merge_differentiable(graph, weights)
@@ -86,14 +85,14 @@ def cases():
         "squared_mahalanobis_of": Case(of_pairs, *jnp.asarray(rng.normal(size=(2, 5, 1)))),
         "chi2_gate": Case(lambda p: pcm_jax.chi2_gate(p, 3), jnp.asarray(0.99), jnp.asarray(0.5)),
         "consistency_graph": Case(lambda q: pcm_jax.consistency_graph(q, gate), *pair),
-        "maximum_clique_batched": Case(lambda q: maximum_clique_batched(q < gate).members, *pair),
-        "select_batched": Case(lambda q: select_batched(q, gate, method="pcm-heuristic"), *pair),
+        "maximum_clique_batched": Case(clique, *pair),
+        "select_batched": Case(selected, *pair),
         "soft_select": Case(lambda q: pcm_jax.soft_select(q, gate, temperature=1.0), *pair),
         "merge_differentiable": Case(
             merged, jnp.asarray([1.0, 0.5, 0.2]), jnp.asarray([0.3, 0.9, 0.0])
         ),
         "true_positive_rate": Case(
-            lambda q: true_positive_rate(q[0] < gate, np.arange(12) < 5), *pair
+            lambda q: pcm_jax.true_positive_rate(q[0] < gate, np.arange(12) < 5), *pair
         ),
         "ate_rmse": Case(error, *steps),
     }
@@ -151,11 +150,9 @@ def test_what_has_derivatives(found):
     assert constant == discrete | {"true_positive_rate"}
 
 
-def test_the_readmes_table(found):
+def test_the_packages_table(found):
     lines = ["| function | `jit` | `vmap` | `grad` | `jvp` |", "|---|---|---|---|---|"]
     for name, mark in found.items():
         lines.append(f"| `{name}` | {YES} | {YES} | {mark} | {mark} |")
-    table = "\n".join(lines) + "\n"
-    text = README.read_text()
-    start, end = (text.index(marker) for marker in MARKERS)
-    assert text[start + len(MARKERS[0]) : end] == table
+    assert "\n\n" + "\n".join(lines) + "\n" in pcm_jax.__doc__
+    assert all(hasattr(pcm_jax, name) for name in found)

@@ -1,7 +1,6 @@
 """Arrays and derivatives cross to other libraries by DLPack, without a copy; PyTorch included."""
 
 import re
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +8,8 @@ import numpy as np
 import pytest
 
 import pcm_jax as pcm
+from pcm_jax.selection import soft
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text()
 GATE = 11.3
 
 
@@ -41,11 +40,11 @@ def test_derivatives_there_and_back():
     assert weights.dtype == squared.dtype
 
 
-def test_pytorch_as_the_readme_says():
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed; the README uses it")
-    (block,) = re.findall(r"^```python\n(import torch\n.*?)^```$", README, re.M | re.S)
+def test_pytorch_as_the_docstring_says():
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed; a docstring uses it")
+    (block,) = re.findall(r"^```python\n(import torch\n.*?)^```$", soft.__doc__, re.M | re.S)
     names = {"jax": jax, "pcm": pcm, "gate": GATE}
-    exec(compile(block, "README.md", "exec"), names)
+    exec(compile(block, soft.__file__, "exec"), names)
     squared = torch.tensor(distances(), requires_grad=True)
     pull = np.random.default_rng(1).normal(size=12)
     weights = names["SoftSelect"].apply(squared)

@@ -9,14 +9,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pcm_jax"
 ORDER = (
-    *("errors", "arrays", "lie", "graph", "files", "sparse", "mapping", "consistency", "clique"),
+    *("errors", "arrays", "store", "tables"),
+    *("lie", "graph", "files", "sparse", "mapping", "consistency", "clique"),
     *("selection", "integrity", "merging", "online", "pipeline", "simulation", "evaluation"),
     *("plots", "report", "experiments", "cli"),
 )
 ONLY_IMPORT = {
     "errors": set(),
     "arrays": {"errors"},
-    "clique": {"errors"},
+    "store": set(),
+    "tables": {"errors"},
+    "clique": {"errors", "arrays"},
     "sparse": {"errors", "arrays"},
 }
 # `MergeResult.plot` is a convenience that reaches down by one lazy import.

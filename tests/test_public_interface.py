@@ -50,20 +50,30 @@ def test_names_for_type_checkers_are_the_names_that_load():
     """The imports under TYPE_CHECKING, `__all__` and the table behind `__getattr__` agree."""
     tree = ast.parse(Path(pcm_jax.__file__).read_text())
     checked = {
-        alias.name: node.module
+        alias.name: str(node.module)
         for branch in tree.body
         if isinstance(branch, ast.If)
         for node in branch.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert sorted(checked) == pcm_jax.__all__
-    for name, module in checked.items():
+    modules = {name for name, home in checked.items() if home == "pcm_jax"}
+    assert modules == set(pcm_jax._MODULES)
+    names = {name: home for name, home in checked.items() if name not in modules}
+    assert sorted(names) == pcm_jax.__all__
+    for name, module in names.items():
         assert getattr(importlib.import_module(module), name) is getattr(pcm_jax, name)
 
 
+@pytest.mark.parametrize("name", pcm_jax._MODULES)
+def test_modules_need_no_second_import(name):
+    """In a process in which nothing else has imported them; the pictures load no matplotlib."""
+    code = f"import sys, pcm_jax; print(pcm_jax.{name}.__name__, 'matplotlib' in sys.modules)"
+    assert python(code) == f"pcm_jax.{name} False"
+
+
 def test_dir_and_unknown_names():
-    assert set(pcm_jax.__all__) <= set(dir(pcm_jax))
+    assert {*pcm_jax.__all__, *pcm_jax._MODULES} <= set(dir(pcm_jax))
     with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
         _ = pcm_jax.no_such_name
 

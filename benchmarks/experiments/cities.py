@@ -28,7 +28,7 @@ _LOOPS_PER_RETURN = 1
 
 
 class City(NamedTuple):
-    """What all versions of the experiment share.
+    """All that the versions of the experiment share.
 
     Attributes:
         graph: two maps at their own optima, each in its first pose's frame, so that nothing of
@@ -41,7 +41,7 @@ class City(NamedTuple):
 
 
 class Law(NamedTuple):
-    """How false closures are drawn, where that is not as `pcm_jax.simulation.outliers` has it.
+    """The false closures' law, where it is not that of `pcm_jax.simulation.outliers`.
 
     Attributes:
         random_range: metres between the two poses of a random closure; None: the whole city.
@@ -80,7 +80,7 @@ def version_of(city: City, law: Law, seed: int, number: int) -> SimulatedWorld:
 
 
 def start_errors(world: SimulatedWorld) -> dict[str, float]:
-    """How far closures are from holding where robust methods start, with both first poses at one.
+    """Distances of closures from holding where robust methods start, with both first poses at one.
 
     Returns:
         Metres, the median over the closures of a kind: `true`, and `aliased`, of the aliased group

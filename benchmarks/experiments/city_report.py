@@ -1,4 +1,4 @@
-"""What a run over City10000 leaves behind: Table I, Fig. 4 and Fig. 5."""
+"""The files that a run over City10000 leaves behind: Table I, Fig. 4 and Fig. 5."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.experiments.record import write_csv
-from benchmarks.suite.harness import write_json
 from pcm_jax.evaluation import comparison_table
 from pcm_jax.experiments import Compared, Method
 from pcm_jax.experiments.comparison import REFERENCE
+from pcm_jax.store import write_json
 
 IN_THE_PAPER: dict[str, dict[str, float]] = {
     "dcs": {"tpr": 0.0, "fpr": 0.0, "translation_mse": 183_078.0},

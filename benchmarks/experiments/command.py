@@ -1,4 +1,4 @@
-"""What the commands of all experiments have in common: options, processes, the record of a run."""
+"""Options, processes and the record of a run, common to the commands of all experiments."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from benchmarks.experiments.record import Progress, Steps
-from benchmarks.suite.harness import write_json
+from benchmarks.experiments.record import Progress
 from benchmarks.suite.measure import machine
+from pcm_jax.store import Store, write_json
 
 Task = Callable[[], dict[str, Any]]
 
@@ -38,7 +38,7 @@ def command_parser(experiment: str, doc: str | None) -> argparse.ArgumentParser:
 
 
 def run_tasks(
-    what: str, tasks: Mapping[str, Task], steps: Steps, *, jobs: int = 1
+    what: str, tasks: Mapping[str, Task], steps: Store, *, jobs: int = 1
 ) -> dict[str, dict[str, Any]]:
     """Results of all tasks by name, each kept on disk as soon as it is there.
 
@@ -48,12 +48,12 @@ def run_tasks(
         steps: where results are kept.
         jobs: processes; one computes in this process.
     """
-    results = {name: steps.kept(name) for name in tasks}
+    results = {name: steps.read(name) for name in tasks}
     missing = [name for name, result in results.items() if result is None]
     tell, done = Progress(what, len(tasks)), len(tasks) - len(missing)
     tell(done)
     for name, result in _computed({name: tasks[name] for name in missing}, jobs):
-        results[name] = steps.keep(name, result)
+        results[name] = steps.write(name, result)
         done += 1
         tell(done)
     return {name: result for name, result in results.items() if result is not None}

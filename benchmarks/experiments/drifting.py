@@ -100,7 +100,7 @@ def candidates(kind: Kind, point: Point, seed: int, number: int) -> Candidates:
         **FALSE,
     )
     maps = [
-        with_edges(one, odometry(one) | (thinning.random(one.num_edges) < point.share))
+        one.with_edges(odometry(one) | (thinning.random(one.num_edges) < point.share))
         for one in world.graph.maps
     ]
     closures = _with_next_place(aliasing, world, closure)
@@ -110,20 +110,8 @@ def candidates(kind: Kind, point: Point, seed: int, number: int) -> Candidates:
 
 
 def odometry(one: PoseGraph) -> Bool[np.ndarray, " e"]:
-    """Which edges join a pose to the next."""
+    """Marks the edges that join a pose to the next."""
     return np.asarray(one.head) - np.asarray(one.tail) == 1
-
-
-def with_edges(one: PoseGraph, kept: Bool[np.ndarray, " e"]) -> PoseGraph:
-    """The map with some of its edges."""
-    return PoseGraph.from_arrays(
-        poses=lie.as_numpy(one.poses),
-        tail=np.asarray(one.tail)[kept],
-        head=np.asarray(one.head)[kept],
-        measurement=lie.take(lie.as_numpy(one.measurement), np.flatnonzero(kept)),
-        information=np.asarray(one.information)[kept],
-        name=one.name,
-    )
 
 
 def _with_next_place(

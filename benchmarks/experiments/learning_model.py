@@ -47,7 +47,7 @@ START = np.array([0.7, 0.7, 0.7, 3.0])
 
 
 class Judged(NamedTuple):
-    """What is believed of each closure.
+    """Beliefs about each closure.
 
     Attributes:
         sigma: `[m, 3]`, deviations; m, m, rad.
@@ -67,7 +67,7 @@ class Judge(eqx.Module):
         self.network = eqx.nn.MLP(len(FEATURES), 4, WIDTH, DEPTH, jax.nn.tanh, key=key)
 
     def __call__(self, features: Float[Array, "m f"]) -> Judged:
-        """Of all closures of one world."""
+        """Judges all closures of one world."""
         raw = jax.vmap(self.network)(features) + START
         return Judged(SIGMA * jnp.exp(raw[:, :3]), raw[:, 3])
 
@@ -79,7 +79,7 @@ def all_alike(world: LearningWorld, scale: float) -> Judged:
 
 
 def selected(world: LearningWorld, judged: Judged) -> Float[Array, " m"]:
-    """How far each closure is believed, s."""
+    """The share s by which each closure is believed."""
     covariance = jax.vmap(jnp.diag)(judged.sigma**2)
     problem = dataclasses.replace(world.problem, measurement_covariance=covariance)
     doubt = -2.0 * jax.nn.log_sigmoid(judged.score)

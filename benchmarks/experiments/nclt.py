@@ -30,6 +30,7 @@ from pcm_jax import FileFormatError, InputError, lie
 from pcm_jax.files.source import read_lines
 from pcm_jax.files.text import Rows, table_rows
 from pcm_jax.graph.validation import raise_first
+from pcm_jax.tables import is_number
 
 COLUMNS = "timestamp x y z and four of orientation"
 SUFFIXES = ("", ".xz", ".gz")
@@ -289,17 +290,9 @@ def _numbers(rows: Rows) -> Float[np.ndarray, "n 8"]:
     try:
         return np.array(rows.words, dtype=float).reshape(-1, 8)
     except ValueError:
-        wrong = next(k for k, word in enumerate(rows.words) if not _is_number(word))
+        wrong = next(k for k, word in enumerate(rows.words) if not is_number(word))
         problem = f"{rows.words[wrong][:40]!r} given, expected a number"
         raise rows.fault(wrong // 8, problem) from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _unit(table: Table) -> Float[np.ndarray, "n 4"]:
@@ -318,7 +311,7 @@ def _unit(table: Table) -> Float[np.ndarray, "n 4"]:
 
 
 def _readings(truth: Table) -> dict[str, Any]:
-    """What the truth's four columns of orientation may mean."""
+    """The two meanings that the truth's four columns of orientation may have."""
     from scipy.spatial.transform import Rotation
 
     angles = Rotation.from_euler("xyz", truth.turns[:, :3]).as_quat()

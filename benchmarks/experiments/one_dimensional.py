@@ -1,4 +1,4 @@
-"""What the figures of the one-dimensional world share: its settings, and selectors by batches."""
+"""Settings of the one-dimensional world, and selectors by batches, which its figures share."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Selector = Callable[[np.ndarray, float], tuple[np.ndarray, float]]
 
 
 class Setting(NamedTuple):
-    """What the paper leaves open; `simulate_one_dimensional` says what each is."""
+    """A choice of what the paper leaves open; `simulate_one_dimensional` says what each is."""
 
     inliers: int = 6
     aliased: int = 4
@@ -33,7 +33,7 @@ class Setting(NamedTuple):
 
     @property
     def measurements(self) -> int:
-        """Of a world."""
+        """The number in a world."""
         return self.inliers + self.aliased + self.random
 
     @property
@@ -75,7 +75,7 @@ SETTINGS = {"tuned": TUNED, "plausible": PLAUSIBLE}
 def select_timed(
     method: str, squared: Float[np.ndarray, "w m m"], gate: float
 ) -> tuple[Bool[np.ndarray, "w m"], float]:
-    """What a method keeps in each of many worlds, and the seconds of all, without compilation."""
+    """Runs a method on each of many worlds: what it keeps, and seconds without compilation."""
     program = _compiled(method, squared.shape)
     start = time.perf_counter()
     members = np.asarray(program(squared, gate))

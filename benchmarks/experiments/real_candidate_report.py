@@ -1,4 +1,4 @@
-"""What `benchmarks.place_recognition` writes: pooled figures, tables and pictures."""
+"""Pooled figures, tables and pictures, as `benchmarks.place_recognition` writes them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from benchmarks.experiments.record import write_csv
-from benchmarks.suite.harness import write_json
 from pcm_jax import LoopClosures, lie
 from pcm_jax.evaluation import aligned, comparison_table
 from pcm_jax.experiments.comparison import REFERENCE
+from pcm_jax.store import write_json
 
 FIGURES = ("precision", "recall", "fpr", "merged", "ate_rmse", "chi2", "accepted", "seconds")
 SHOWN = ("scgp", "ransac-3.5", "ransac-99", "pcm-exact-11", "pcm-exact-99", "clipper", "gnc")
@@ -84,7 +84,7 @@ def summarised(trajectories: Runs, versions: Runs) -> dict[str, dict[str, Any]]:
 
 
 def is_version(run: Mapping[str, Any], name: str) -> bool:
-    """Whether a run is one of this data set, with right candidates across the cut."""
+    """Says whether a run is one of this data set, with right candidates across the cut."""
     return run["data"] == name and bool(run["arms"])
 
 

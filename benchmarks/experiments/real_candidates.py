@@ -60,7 +60,7 @@ class Candidates(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """What to multiply covariances by: those of odometry, and those of loop candidates."""
+    """Factors of covariances: of odometry's, and of loop candidates'."""
 
     odometry: float = 1.0
     closures: float = 1.0
@@ -116,12 +116,12 @@ def load(data: Path, name: str) -> Candidates:
 
 
 def steps(graph: PoseGraph) -> Bool[np.ndarray, " e"]:
-    """Which edges are odometry: those between consecutive poses."""
+    """Marks the edges that are odometry: those between consecutive poses."""
     return np.abs(np.asarray(graph.tail) - np.asarray(graph.head)) == 1
 
 
 def errors(graph: PoseGraph, truth: Any) -> Float[np.ndarray, "e d"]:
-    """What each edge's measurement is off the truth, in its own right perturbation: m, rad."""
+    """Errors of the edges' measurements, each in its own right perturbation: m, rad."""
     ends = (lie.take(truth, np.asarray(end)) for end in (graph.tail, graph.head))
     return np.asarray(lie.log(lie.between(lie.as_numpy(graph.measurement), lie.between(*ends))))
 
@@ -129,37 +129,18 @@ def errors(graph: PoseGraph, truth: Any) -> Float[np.ndarray, "e d"]:
 def within_tolerance(
     graph: PoseGraph, truth: Any, tolerance: tuple[float, float]
 ) -> Bool[np.ndarray, " e"]:
-    """Which candidates measure what is true, to so many metres and degrees; none of odometry."""
+    """Marks candidates that measure what is true to so many metres and degrees; no odometry."""
     error, (metres, degrees) = errors(graph, truth), tolerance
     near = np.linalg.norm(error[:, :2], axis=1) <= metres
     return near & (np.abs(error[:, 2]) <= np.radians(degrees)) & ~steps(graph)
 
 
-def with_edges(graph: PoseGraph, kept: Bool[np.ndarray, " e"]) -> PoseGraph:
-    """The same poses with some of the edges."""
-    return PoseGraph.from_arrays(
-        poses=lie.as_numpy(graph.poses),
-        tail=np.asarray(graph.tail)[kept],
-        head=np.asarray(graph.head)[kept],
-        measurement=lie.take(lie.as_numpy(graph.measurement), kept),
-        information=np.asarray(graph.information)[kept],
-        ids=graph.ids,
-        name=graph.name,
-        source=graph.source[kept],
-    )
-
-
 def chained(graph: PoseGraph) -> Any:
     """The poses that odometry alone adds up to, Lie `[n]`."""
-    odometry = steps(graph)
-    return lie.as_numpy(
-        PoseGraph.from_arrays(
-            tail=np.asarray(graph.tail)[odometry],
-            head=np.asarray(graph.head)[odometry],
-            measurement=lie.take(lie.as_numpy(graph.measurement), odometry),
-            information=np.asarray(graph.information)[odometry],
-        ).poses
-    )
+    odometry = graph.with_edges(steps(graph))
+    ends = {"tail": odometry.tail, "head": odometry.head}
+    measured = {"measurement": odometry.measurement, "information": odometry.information}
+    return lie.as_numpy(PoseGraph.from_arrays(**ends, **measured).poses)
 
 
 def rescaled(graph: PoseGraph, factors: Factors) -> PoseGraph:
@@ -219,7 +200,7 @@ def squared_errors(candidates: Candidates) -> Float[np.ndarray, " e"]:
 
 
 def noise(candidates: Candidates, selection: WithinSelection) -> dict[str, float | None]:
-    """How honest the stated noise is, and how far labels can be trusted.
+    """Measures of how honest the stated noise is, and how far labels can be trusted.
 
     Args:
         candidates: as written.
@@ -253,7 +234,7 @@ def noise(candidates: Candidates, selection: WithinSelection) -> dict[str, float
 
 
 def lever_arm(candidates: Candidates) -> float:
-    """How far, in m, the point whose true pose is known is from the one that odometry moves.
+    """Distance from the point that odometry moves to the one whose true pose is known, m.
 
     With A a motion of odometry's frame and B the same motion of the truth's, a constant offset t
     has (R_A − 1) t = t_B − t_A: least squares over motions of ten steps.
@@ -310,7 +291,7 @@ def _table(path: Path, **options: Any) -> np.ndarray:
 
 
 def _listed(graph: PoseGraph, path: Path, name: str) -> Bool[np.ndarray, " e"]:
-    """Which edges join a pair of ids that is listed, in either order."""
+    """Marks the edges that join a pair of ids that is listed, in either order."""
     listed = {frozenset(pair) for pair in _table(_beside(path, name), dtype=int).tolist()}
     ends = zip(graph.ids[graph.tail].tolist(), graph.ids[graph.head].tolist(), strict=True)
     return np.array([frozenset(pair) in listed for pair in ends]) & ~steps(graph)

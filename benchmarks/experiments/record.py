@@ -1,19 +1,15 @@
-"""Steps of an experiment, kept on disk as they are done; tables and progress."""
+"""Rows and means of an experiment, the sources that results depend on, and progress."""
 
 from __future__ import annotations
 
 import csv
-import hashlib
-import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from benchmarks.suite.harness import write_json
 
 PACKAGE = Path(__file__).resolve().parents[2] / "pcm_jax"
 LIBRARY = [
@@ -33,40 +29,6 @@ LIBRARY = [
 """What the results of every comparison of methods depend on."""
 
 Figures = Mapping[str, float]
-
-
-class Steps:
-    """Results by name in a folder: each is computed once, and read after that.
-
-    Results of other options or other sources than the present ones are computed again.
-
-    Args:
-        folder: where they are kept; made if it is absent.
-        options: what they depend on; its `repr` counts.
-        sources: the package's folders and the files that they depend on.
-    """
-
-    def __init__(self, folder: Path, options: Any, sources: Iterable[Path]):
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.stamp = folder, _stamp(options, sources)
-
-    def __call__(self, name: str, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-        """The step's result, plain data; computed if none is kept."""
-        result = self.kept(name)
-        return self.keep(name, compute()) if result is None else result
-
-    def kept(self, name: str) -> dict[str, Any] | None:
-        """The step's result if one of these options and sources is kept."""
-        kept = _read(self._path(name))
-        return kept["result"] if kept.get("stamp") == self.stamp else None
-
-    def keep(self, name: str, result: dict[str, Any]) -> dict[str, Any]:
-        """Writes a step's result, and returns it as it will be read."""
-        write_json(self._path(name), {"stamp": self.stamp, "result": result})
-        return _read(self._path(name))["result"]
-
-    def _path(self, name: str) -> Path:
-        return self.folder / f"{name}.json"
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -110,18 +72,3 @@ class Progress:
         line = f"{self.what} {done}/{self.total}  {seconds:.0f} s"
         end = "\r" if sys.stderr.isatty() and done < self.total else "\n"
         print(line, end=end, file=sys.stderr, flush=True)
-
-
-def _stamp(options: Any, sources: Iterable[Path]) -> str:
-    digest = hashlib.blake2b(repr(options).encode(), digest_size=16)
-    for source in sources:
-        for path in sorted(source.rglob("*.py")) if source.is_dir() else [source]:
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError):
-        return {}

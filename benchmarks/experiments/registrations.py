@@ -147,14 +147,14 @@ def neighbours(truth_a: Any, truth_b: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_right(measurement: Any, exact: Any) -> Bool[np.ndarray, " m"]:
-    """Whether registrations are within the threshold of the true relative poses."""
+    """Marks registrations within the threshold of the true relative poses."""
     error = lie.log(lie.between(exact, measurement))
     off, turned = (np.linalg.norm(part, axis=1) for part in (error[:, :3], error[:, 3:]))
     return (off <= RIGHT_DISTANCE) & (turned <= RIGHT_ANGLE)
 
 
 def counts_by_kind(kinds: np.ndarray, accepted: Bool[np.ndarray, " m"]) -> Mapping[str, int]:
-    """How many closures of each kind were accepted."""
+    """Counts accepted closures by kind."""
     return {kind: int(np.count_nonzero(accepted & (kinds == kind))) for kind in KINDS}
 
 

@@ -21,9 +21,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.experiments.one_dimensional import METHODS, Setting, select_timed
-from benchmarks.experiments.record import Progress, Steps
+from benchmarks.experiments.record import Progress
 from pcm_jax import InputError
 from pcm_jax.selection import select_from
+from pcm_jax.store import Store
 
 SIZES = (6, 8, 12, 16, 20, 24, 28, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 SIZES += (768, 1024, 1536, 2048, 3072, 4096)
@@ -36,7 +37,7 @@ Timed = dict[str, dict[str, Any]]
 
 
 def time_solvers(
-    setting: Setting, sizes: Sequence[int], worlds: int, limit: float, seed: int, steps: Steps
+    setting: Setting, sizes: Sequence[int], worlds: int, limit: float, seed: int, steps: Store
 ) -> dict[int, Timed]:
     """Times by size, of the methods that had not given up before it."""
     tell, results, trying = Progress("sizes", len(sizes)), {}, METHODS
@@ -75,7 +76,7 @@ def time_size(
 
 
 def _seconds(method: str, squared: np.ndarray, gate: float, limit: float) -> float | None:
-    """Of one world; None where the method cannot do it."""
+    """Seconds of one world; None where the method cannot do it."""
     options = {"time_limit": _LIMITS_OF_WALL_CLOCK * limit} if method == "pcm-exact" else {}
     start = time.process_time()
     try:
@@ -87,7 +88,7 @@ def _seconds(method: str, squared: np.ndarray, gate: float, limit: float) -> flo
 
 
 def _batched(method: str, squared: np.ndarray, gate: float) -> float:
-    """Of all worlds; the median of three runs."""
+    """Seconds of all worlds; the median of three runs."""
     seconds = []
     for _ in range(4):  # the first compiles
         start = time.process_time()

@@ -36,7 +36,7 @@ class Peer(NamedTuple):
 
 
 def installed(peer: str) -> bool:
-    """Whether a peer can be imported."""
+    """Says whether a peer can be imported."""
     try:
         return importlib.util.find_spec(PEERS[peer].module) is not None
     except ModuleNotFoundError:
@@ -45,7 +45,7 @@ def installed(peer: str) -> bool:
 
 def missing(peer: str) -> str:
     """The reason for a row without its peer."""
-    return f"{peer} is not installed: pip install 'pcm-jax[bench]'"
+    return f"{peer} is not installed: pip install '.[bench]'"
 
 
 def within(seconds: float, peer: str, graph: Bool[np.ndarray, "n n"]) -> tuple[float, int] | None:
@@ -83,7 +83,7 @@ def _networkit(graph: np.ndarray) -> Call:
 
 
 class _SageGraph:
-    """What `mcqd` asks of a graph; its conversion of it is part of the call."""
+    """The part of a graph that `mcqd` asks for; its conversion of it is part of the call."""
 
     def __init__(self, graph: np.ndarray):
         self.near = [np.flatnonzero(row).tolist() for row in graph]

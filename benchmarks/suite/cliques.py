@@ -163,7 +163,7 @@ def _batched(graphs: np.ndarray, settings: Settings) -> Measured:
 
 
 def random_graphs(settings: Settings) -> dict[str, Measured]:
-    """How many random graphs get a clique as large as networkx's and as enumeration's."""
+    """Counts random graphs that get a clique as large as networkx's and as enumeration's."""
     generator = np.random.default_rng(0)
     equal = 0
     for seed in range(RANDOM_GRAPHS):

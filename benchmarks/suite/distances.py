@@ -103,7 +103,7 @@ def from_marginals(count: int, settings: Settings) -> dict[str, Measured]:
 
 
 def in_float32(group: str, settings: Settings) -> dict[str, Measured]:
-    """What float32 costs in digits and gains in time, in a simulated world."""
+    """Costs of float32 in digits, and gains in time, in a simulated world."""
     simulated = {"SE2": simulate_city, "SE3": simulate_sessions}[group]().graph
     closures, _ = simulated.closures.between(0, 1)
     map_a, map_b = (optimize(one).graph for one in simulated.maps)

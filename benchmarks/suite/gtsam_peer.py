@@ -34,7 +34,7 @@ _SIGMA_HELD = {"solve": 1e-4, "marginals": 1e-8}
 def require() -> None:
     """Raises unless GTSAM is installed."""
     if gtsam is None:
-        raise NotMeasuredError("gtsam is not installed: pip install 'pcm-jax[bench]'")
+        raise NotMeasuredError("gtsam is not installed: pip install '.[bench]'")
 
 
 class PlainGraph(NamedTuple):

@@ -7,8 +7,6 @@ other sources, options or packages than the present ones are measured again.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import multiprocessing
 import os
 import time
@@ -20,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from benchmarks.suite.measure import Patience, cores, machine, peak_memory
+from pcm_jax.store import Store, digest, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -39,7 +38,7 @@ class NotMeasuredError(Exception):
 
 
 class Settings(NamedTuple):
-    """What the command line says.
+    """Settings from the command line.
 
     Attributes:
         quick: fewer repeats, and no case that takes minutes.
@@ -51,7 +50,7 @@ class Settings(NamedTuple):
 
     @property
     def patience(self) -> Patience:
-        """How often to repeat what takes a fraction of a second."""
+        """Repeats of what takes a fraction of a second."""
         return Patience(3, 0.5) if self.quick else Patience(7, 3.0)
 
 
@@ -78,7 +77,7 @@ class Metric(NamedTuple):
     reason: str = ""
 
     def reached(self, value: float | None) -> bool | None:
-        """Whether a value is as good as it should be; None where nothing is promised."""
+        """Says whether a value is as good as it should be; None where nothing is promised."""
         if self.figure is None or value is None:
             return None
         if isinstance(self.figure, tuple):
@@ -112,7 +111,7 @@ class Case(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a case.
+    """The outcome of a case.
 
     Attributes:
         measured: by metric; one whose measurement was not possible has no value.
@@ -140,30 +139,21 @@ def chosen(cases: Iterable[Case], settings: Settings, only: Sequence[str]) -> li
 
 def run(cases: Sequence[Case], settings: Settings, out: Path) -> dict[str, Outcome]:
     """Runs cases one after the other, and prints what they find; those kept in `out` are read."""
-    folder = out / "cases"
-    folder.mkdir(parents=True, exist_ok=True)
+    kept = Store(out / "cases", _stamp(settings))
     threads = os.environ.get(THREADS, ENVIRONMENT[THREADS])
     write_json(out / "machine.json", {**machine(), "blas_threads": threads})
-    stamp = _stamp(settings)
     outcomes = {}
     for number, case in enumerate(cases, 1):
-        kept = folder / f"{case.name.replace('/', '.')}.json"
-        outcome = _read(kept, stamp)
+        name = case.name.replace("/", ".")
+        outcome = _outcome(kept.read(name))
         print(f"[{number}/{len(cases)}] {case.name} ...", "kept" if outcome else "", flush=True)
         if outcome is None:
             outcome = _in_own_process(case, settings)
             if not outcome.failure and any(m.value is not None for m in outcome.measured.values()):
-                write_json(kept, {"stamp": stamp, **outcome._asdict()})
+                kept.write(name, outcome._asdict())
         print(_in_lines(case, outcome), flush=True)
         outcomes[case.name] = outcome
     return outcomes
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Writes a whole file or none."""
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-    unfinished.replace(path)
 
 
 def in_digits(value: float | None, metric: Metric) -> str:
@@ -218,7 +208,7 @@ def _environment() -> Iterator[None]:
 
 
 class _Answer(NamedTuple):
-    """What the other process sends: measurements, or why there are none, or a traceback."""
+    """The other process's answer: measurements, or why there are none, or a traceback."""
 
     measured: dict[str, Measured] | None = None
     reason: str = ""
@@ -255,22 +245,14 @@ def _checked(case: Case, answer: _Answer, seconds: float) -> Outcome:
 
 
 def _stamp(settings: Settings) -> str:
-    """What results depend on, but for the machine."""
-    digest = hashlib.blake2b(digest_size=16)
-    digest.update(repr((settings, machine()["packages"])).encode())
-    for folder in ("pcm_jax", "benchmarks/suite"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    """Digests what results depend on, but for the machine."""
+    sources = [ROOT / folder for folder in ("pcm_jax", "benchmarks/suite")]
+    return digest(settings, machine()["packages"], files=sources)
 
 
-def _read(path: Path, stamp: str) -> Outcome | None:
-    """The kept outcome of a case, unless there is none of this stamp."""
-    try:
-        kept = json.loads(path.read_text())
-    except (OSError, ValueError):
+def _outcome(kept: Any) -> Outcome | None:
+    """Makes an outcome again of what was kept of one."""
+    if kept is None:
         return None
-    if kept.pop("stamp", None) != stamp:
-        return None
-    kept["measured"] = {name: Measured(*each) for name, each in kept["measured"].items()}
-    return Outcome(**kept)
+    measured = {name: Measured(*each) for name, each in kept["measured"].items()}
+    return Outcome(**{**kept, "measured": measured})

@@ -1,4 +1,4 @@
-"""The figures that are promised, in the top README: measured, with the command of each."""
+"""The figures that are promised, in this folder's README, and six of them in the top one."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
-from benchmarks.suite.harness import ROOT, in_digits
-from benchmarks.suite.report import Entry, figure_of, metric_of, with_block
+from benchmarks.suite.harness import ROOT, Metric, in_digits
+from benchmarks.suite.report import README, Entry, figure_of, metric_of, with_block
+from pcm_jax.tables import markdown
 
-README = ROOT / "README.md"
 MARKERS = "<!-- how fast: generated, do not edit -->", "<!-- end of how fast -->"
+TOP = ROOT / "README.md"
+TOP_MARKERS = "<!-- six figures: generated, do not edit -->", "<!-- end of six figures -->"
 
 ROWS = {
     "Q of 1,000 closures in space, an ordered pair": "distances/SE3-1000/pair",
@@ -47,18 +49,46 @@ ROWS = {
     "… by CHOLMOD": "sweeps/merges-city10000/cholmod",
     "10,000 worlds of 115 closures, Q and three methods": "world_sweeps/SE2-10000/seconds",
     "`import pcm_jax`": "end_to_end/import/pcm_jax",
+    "… and all that a merge needs, over `import jax, numpy, scipy`": (
+        "end_to_end/import/merge_over_foundations"
+    ),
     "first merge in a process, two maps of 1,000 in the plane": "end_to_end/merge-SE2/first",
     "… in space": "end_to_end/merge-SE3/first",
     "… compilation for another size": "end_to_end/merge-*/other_size_compiles",
 }
 """A metric's name, or a pattern, of whose metrics the worst counts."""
 
+SIX = {
+    "two maps of 1,000 poses and 115 candidates, from odometry to one map": (
+        "{} the first time in a process, then {}",
+        ("end_to_end/merge-SE2/first", "end_to_end/merge-SE2/again"),
+    ),
+    "the same in space, 108 candidates": (
+        "{}, then {}",
+        ("end_to_end/merge-SE3/first", "end_to_end/merge-SE3/again"),
+    ),
+    "20,000 candidates in space straight to a consistency graph": (
+        "{}, {}",
+        ("streaming/SE3-20000/seconds", "streaming/SE3-20000/peak_memory"),
+    ),
+    "the largest consistent set of 10,000 candidates, with a proof (500 planted)": (
+        "{}",
+        ("cliques/planted-10000/planted-500",),
+    ),
+    "Gauss–Newton against GTSAM's on eight public graphs": (
+        "{} its time in the mean, {} on the slowest",
+        ("optimization/all-graphs/blocks_over_gtsam", "optimization/*/blocks_over_gtsam"),
+    ),
+    "memory of such a solve against GTSAM's": ("up to {}", ("memory/*_solving",)),
+}
+"""Figures in users' units: a sentence, and the metrics whose values it takes."""
+
 Entries = Mapping[str, Entry]
 
 
 def table(entries: Entries) -> str:
     """The promised figures as Markdown."""
-    lines = [("", "to reach", "measured", "`python -m benchmarks --only`"), ("---",) * 4]
+    lines = []
     for label, pattern in ROWS.items():
         name, entry = _worst(entries, pattern)
         metric = metric_of(name, entry)
@@ -67,11 +97,25 @@ def table(entries: Entries) -> str:
             value = f"**{value}**"
         only = pattern.partition("*")[0].rpartition("/")[0]
         lines.append((label, figure_of(entry, metric), value, f"`{only}`"))
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return markdown(("", "to reach", "measured", "`python -m benchmarks --only`"), lines)
+
+
+def six(entries: Entries) -> str:
+    """Six figures in users' units, as Markdown."""
+    rows = []
+    for label, (sentence, patterns) in SIX.items():
+        found = [entries[_worst(entries, pattern)[0]] for pattern in patterns]
+        values = [in_digits(each["value"], _two_digits(each)) for each in found]
+        rows.append((label, sentence.format(*values)))
+    return markdown(("", "measured"), rows)
+
+
+def _two_digits(entry: Entry) -> Metric:
+    return Metric("", entry["unit"], entry["direction"], digits=2)
 
 
 def missed(entries: Entries) -> str:
-    """What is missed, by reason, a line each."""
+    """Figures that are missed, by reason, a line each."""
     by_reason: dict[str, list[str]] = {}
     for name, entry in entries.items():
         promised = any(fnmatchcase(name, pattern) for pattern in ROWS.values())
@@ -85,12 +129,12 @@ def missed(entries: Entries) -> str:
 
 
 def _worst(entries: Entries, pattern: str) -> tuple[str, Entry]:
-    """What is farthest from its figure of the metrics that have a value, and one."""
+    """The metric farthest from its figure, of those that have a value, and one."""
     found = {name: entry for name, entry in entries.items() if fnmatchcase(name, pattern)}
 
     def by_how_much(name: str) -> float:
-        value, figure = found[name]["value"], found[name]["figure"]
-        if value is None or figure is None:
+        value = found[name]["value"]
+        if value is None or found[name].get("figure", 0.0) is None:
             return -math.inf
         return value if found[name]["direction"] == "lower" else -value
 
@@ -105,5 +149,6 @@ def with_headlines(text: str, entries: Entries) -> str:
 
 
 def record(entries: Entries) -> None:
-    """Writes them into the README."""
+    """Writes them into both READMEs."""
     README.write_text(with_headlines(README.read_text(), entries))
+    TOP.write_text(with_block(TOP.read_text(), TOP_MARKERS, six(entries)))

@@ -23,7 +23,7 @@ SIMULATED = ("simulated-city", "simulated-campus")
 
 
 def stand_ins_needed(settings: Settings) -> bool:
-    """Whether `SIMULATED` maps stand in for public ones: where City10000 is absent."""
+    """Says whether `SIMULATED` maps stand in for public ones: where City10000 is absent."""
     return not (settings.data / FILES["city10000"]).exists()
 
 

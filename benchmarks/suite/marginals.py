@@ -40,7 +40,7 @@ def joint(name: str, count: int, settings: Settings) -> dict[str, Measured]:
 
 
 def _prefixes(name: str) -> tuple[str, ...]:
-    """What the metrics of a map's parts begin with."""
+    """Beginnings of the names of metrics of a map's parts."""
     return ("",) if name in WHOLE else ("a_", "b_")
 
 

@@ -37,7 +37,7 @@ class Timing(NamedTuple):
 
 
 class Patience(NamedTuple):
-    """How often to repeat.
+    """Numbers of repeats.
 
     Attributes:
         least: rounds at least, as long as `most_seconds` are not used up.
@@ -52,7 +52,7 @@ class Patience(NamedTuple):
     most: int = 50
 
     def enough(self, rounds: int, spent: float) -> bool:
-        """Whether no further round is needed."""
+        """Says whether no further round is needed."""
         wanted = rounds >= self.least and spent >= self.seconds
         return wanted or rounds >= self.most or spent >= self.most_seconds
 
@@ -92,7 +92,7 @@ def timing_of(call: Call, patience: Patience) -> Timing:
 
 
 def geometric_mean(ratios: Sequence[float]) -> float:
-    """What ratios are like on the whole: one of 2 and one of 1/2 are 1."""
+    """The mean of ratios: one of 2 and one of 1/2 are 1."""
     return math.exp(statistics.fmean(map(math.log, ratios)))
 
 
@@ -145,7 +145,7 @@ def peak_memory() -> float:
 
 
 def machine() -> dict[str, Any]:
-    """What the figures depend on besides the code."""
+    """Facts about the machine, on which figures depend besides the code."""
     return {
         "processor": _processor(),
         "cores": cores(),

@@ -58,7 +58,7 @@ def solving(name: str, settings: Settings) -> dict[str, Measured]:
 
 
 def one_solve(solver: str, graph: Path) -> dict[str, float]:
-    """What `benchmarks.suite.one_solve` prints, by an engine of ours or by "gtsam"."""
+    """Runs `benchmarks.suite.one_solve` by an engine of ours or by "gtsam": what it prints."""
     command = [sys.executable, "-m", "benchmarks.suite.one_solve", solver, str(graph)]
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     return json.loads(done.stdout)

@@ -1,4 +1,4 @@
-"""Step i, the maps: optimised costs, Gauss-Newton against GTSAM, the symbolic plan, one whole call.
+"""Step i, the maps: optimised costs, Gauss-Newton against GTSAM, the plan, one whole call, SuperLU.
 
 Gauss-Newton is raced on identical graphs from identical poses, our chordal ones, with the same
 stopping rule. Neither side's ordering is counted: GTSAM's is found when its optimiser is made, ours
@@ -28,9 +28,12 @@ from benchmarks.suite.measure import (
     timing_of,
 )
 from pcm_jax import InputError, PoseGraph, lie, optimize
+from pcm_jax.mapping._linearization import edge_products, linearize
 from pcm_jax.mapping.initialization import chordal_poses
+from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.sparse.assembly import plan_for
+from pcm_jax.sparse.system import System, system_for
 
 COSTS = {
     "intel": 22.502117,
@@ -168,12 +171,71 @@ def plan(name: str, settings: Settings) -> dict[str, Measured]:
 
 
 def stop_of_gtsam(name: str, settings: Settings) -> dict[str, Measured]:
-    """Where Levenberg-Marquardt of GTSAM stops from the file's own poses."""
+    """The cost at which Levenberg-Marquardt of GTSAM stops from the file's own poses."""
     factors, values = gtsam_peer.factors_and_values(maps.read_map(name, settings), "solve")
     peer = gtsam_peer.levenberg_marquardt(factors, values)
     cost = factors.error(peer.optimize())
     note = f"{peer.iterations()} iterations from a cost of {factors.error(values):.4g}"
     return {"cost": Measured(cost, note)}
+
+
+def splu(name: str, settings: Settings) -> dict[str, Measured]:
+    """A step's linear system by our factorisation and by SciPy's SuperLU, both with their solve.
+
+    SuperLU finds its ordering anew in every call, ours is cached by content: a step of an optimiser
+    would pay for both as they are. Neither side's assembly is counted.
+    """
+    from scipy.sparse.linalg import splu
+
+    start = at_chordal_poses(maps.read_map(name, settings))
+    matrix, right = _information(start), _right_hand_side(start)
+    system, products = _system_and_products(start)
+    options: dict[str, Any] = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0}
+    options["options"] = {"SymmetricMode": True}
+    free = right[start.tangent_dim :]
+    found = system.factorize(products).solve(right)[start.tangent_dim :]
+    difference = np.abs(found - splu(matrix, **options).solve(free)).max() / np.abs(found).max()
+    if difference > 1e-6:
+        raise RuntimeError(f"{name}: the two solutions differ by {difference}")
+    contestants = {
+        "ours": lambda: lambda: system.factorize(products).solve(right),
+        "splu": lambda: lambda: splu(matrix, **options).solve(free),
+    }
+    times = race(contestants, settings.patience)
+    return {"blocks_over_splu": _ratio(times["ours"], times["splu"])}
+
+
+def _system_and_products(graph: PoseGraph) -> tuple[System, np.ndarray]:
+    """The normal equations of a map, the first pose held, and their numbers at its poses."""
+    edges = padded_edges(*host_arrays(graph), size=graph.num_edges)
+    residual, by_tail, by_head = linearize(lie.as_numpy(graph.poses), edges)
+    first = np.arange(graph.num_poses) == 0
+    ends = np.asarray(graph.tail), np.asarray(graph.head)
+    system = system_for(graph.num_poses, *ends, first, graph.tangent_dim)
+    return system, np.asarray(edge_products(by_tail, by_head, residual).products)
+
+
+def _information(graph: PoseGraph) -> Any:
+    """H without the first pose, as SciPy's sparse matrix."""
+    from scipy.sparse import coo_array
+
+    system, (by_tail, by_head, across) = _system_and_products(graph)
+    d, tail, head = graph.tangent_dim, system.tail, system.head
+    row, column = np.concatenate([tail, head, head, tail]), np.concatenate([tail, head, tail, head])
+    block = np.concatenate([by_tail, by_head, across, across.swapaxes(1, 2)])
+    free, scalar = (row > 0) & (column > 0), np.arange(d)
+    rows = (row[free, None] - 1) * d + scalar
+    columns = (column[free, None] - 1) * d + scalar
+    rows, columns = np.broadcast_arrays(rows[:, :, None], columns[:, None, :])
+    size = (graph.num_poses - 1) * d
+    entries = block[free].ravel(), (rows.ravel(), columns.ravel())
+    return coo_array(entries, shape=(size, size)).tocsc()
+
+
+def _right_hand_side(graph: PoseGraph) -> np.ndarray:
+    right = np.random.default_rng(0).normal(size=graph.num_poses * graph.tangent_dim)
+    right[: graph.tangent_dim] = 0.0
+    return right
 
 
 def at_chordal_poses(graph: PoseGraph) -> PoseGraph:
@@ -245,6 +307,14 @@ CASES = [
             functools.partial(plan, name),
         )
         for name, seconds in PLAN_SECONDS.items()
+    ),
+    *(
+        Case(
+            f"optimization/splu-{name}",
+            (Metric("blocks_over_splu", "×"),),
+            functools.partial(splu, name),
+        )
+        for name in maps.FILES
     ),
     Case(
         "optimization/one-shot-city10000",

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.suite.harness import Case, Metric, Outcome, in_digits, write_json
+from benchmarks.suite.harness import Case, Metric, Outcome, in_digits
+from pcm_jax.store import write_json
+from pcm_jax.tables import markdown
 
 HERE = Path(__file__).parent
 BASELINE = HERE / "baseline.json"
@@ -26,7 +28,7 @@ def read_baseline(path: Path = BASELINE) -> dict[str, Entry]:
 def summary(
     cases: Sequence[Case], outcomes: Mapping[str, Outcome], baseline: Mapping[str, Entry]
 ) -> dict[str, Entry]:
-    """What `summary.json` holds: every metric by its full name, "subject/what/metric"."""
+    """Contents of `summary.json`: every metric by its full name, "subject/what/metric"."""
     return {
         f"{case.name}/{metric.name}": _entry(
             metric, outcomes[case.name], baseline.get(f"{case.name}/{metric.name}", {})
@@ -74,17 +76,9 @@ def _change(metric: Metric, ratio: float | None) -> str | None:
 def table(entries: Mapping[str, Entry]) -> str:
     """All entries as a Markdown table with aligned columns; one that is all empty is left out."""
     rows = [_row(name, entry) for name, entry in entries.items()]
-    columns = [
-        (head, *column)
-        for head, column in zip(HEAD, zip(*rows, strict=True), strict=True)
-        if any(column)
-    ]
-    padded = []
-    for column in columns:
-        width = max(map(len, column))
-        padded.append([cell.ljust(width) for cell in column])
-        padded[-1].insert(1, "-" * width)
-    return "\n".join(f"| {' | '.join(line)} |" for line in zip(*padded, strict=True))
+    told = [k for k, column in enumerate(zip(*rows, strict=True)) if any(column)]
+    chosen = [[row[k] for k in told] for row in (HEAD, *rows)]
+    return markdown(chosen[0], chosen[1:], aligned=True)
 
 
 def _row(name: str, entry: Entry) -> tuple[str, ...]:
@@ -97,12 +91,12 @@ def _row(name: str, entry: Entry) -> tuple[str, ...]:
 
 
 def metric_of(name: str, entry: Entry) -> Metric:
-    """What a value of `summary.json` is to be shown with."""
+    """The metric that a value of `summary.json` is shown with."""
     return Metric(name, entry["unit"], entry["direction"], digits=entry["digits"])
 
 
 def figure_of(entry: Entry, metric: Metric) -> str:
-    """What is to be reached, in words; empty where nothing is promised."""
+    """The figure to reach, in words; empty where nothing is promised."""
     figure = entry["figure"]
     if figure is None:
         return ""

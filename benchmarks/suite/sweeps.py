@@ -72,7 +72,7 @@ def _sweep(graph: MultiRobotGraph, sets: list[Any], engine: str) -> dict[str, Me
 
 
 def _analyses(engine: str) -> int:
-    """How many symbolic analyses CHOLMOD has made."""
+    """Counts the symbolic analyses that CHOLMOD has made."""
     if engine != "cholmod":
         return 0
     import sparsax  # pyright: ignore[reportMissingImports]

@@ -4,7 +4,7 @@ entry        `main`: runs a command; errors and warnings become lines on standar
 _arguments   the options of all commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
-demo, merge, inspect, simulate     one module per command, each with a `run(arguments)`
+demo, formats, inspect, merge, simulate     one module per command, each with a `run(arguments)`
 _outputs     where results may be written, checked before anything is computed
 
 Nothing heavy is imported before a command needs it, so that `--help` answers at once.

@@ -20,7 +20,7 @@ COMPONENTS = "components"
 
 @dataclasses.dataclass(frozen=True)
 class Given:
-    """What a command was given.
+    """Input of a command, as given.
 
     Attributes:
         graph: what was read, cut if asked for.

@@ -1,4 +1,4 @@
-"""Where results may be written: checked before anything is computed."""
+"""Targets of results, checked before anything is computed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def check_picture(path: Path) -> None:
         import matplotlib
     except ImportError:
         raise InputError(
-            "matplotlib: not installed, but pictures need it: pip install 'pcm-jax[plot]'"
+            "matplotlib: not installed, but pictures need it: pip install '.[plot]'"
         ) from None
     from matplotlib.backend_bases import FigureCanvasBase
 

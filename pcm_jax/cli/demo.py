@@ -13,7 +13,6 @@ import numpy as np
 from pcm_jax.cli import _outputs as outputs
 from pcm_jax.cli._arguments import DEMO_PICTURE
 from pcm_jax.cli._progress import Progress
-from pcm_jax.cli._table import table
 from pcm_jax.errors import InputWarning
 from pcm_jax.evaluation import ate_rmse
 from pcm_jax.files.output import check_target
@@ -22,6 +21,7 @@ from pcm_jax.mapping import optimize
 from pcm_jax.merging import MergeResult
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import SimulatedWorld, simulate_city
+from pcm_jax.tables import columns_of_text
 
 HEAD = "method", "accepted", "true", "false", "ATE RMSE (m)", "seconds", "compiling", "solver"
 EVERYTHING, PCM = "everything accepted", "PCM"
@@ -90,7 +90,7 @@ def comparison(world: SimulatedWorld, outcomes: dict[str, Outcome]) -> str:
                 "converged" if solution.converged else "did not converge",
             ]
         )
-    return table(HEAD, rows)
+    return columns_of_text(HEAD, rows)
 
 
 def draw(world: SimulatedWorld, outcomes: dict[str, Outcome], path: Path) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pcm_jax.cli._table import table
 from pcm_jax.files.formats import HEAD, rows
+from pcm_jax.tables import columns_of_text
 
 
 def run(_: Any) -> None:
     """Prints the registry's table."""
-    print(table(HEAD, rows()))
+    print(columns_of_text(HEAD, rows()))

@@ -12,10 +12,10 @@ from pcm_jax import lie
 from pcm_jax.cli._inputs import Given, read
 from pcm_jax.cli._outputs import json_text
 from pcm_jax.cli._progress import Progress
-from pcm_jax.cli._table import table
 from pcm_jax.cli.merge import TOO_GOOD
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
 from pcm_jax.merging.groups import robot_groups
+from pcm_jax.tables import columns_of_text
 
 SINGULAR = 1e8  # ratio of an information matrix's eigenvalues, its units balanced
 HEAD = ("robot", "poses", "ids", "edges", "odometry", "loops", "length (m)", "extent (m)")
@@ -44,7 +44,7 @@ def run(options: Any) -> None:
 
 
 def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
-    """What is printed, as JSON has it."""
+    """Says what is printed, as JSON has it."""
     graph = given.graph
     return {
         **given.as_dict(),
@@ -67,7 +67,7 @@ def _groups(graph: MultiRobotGraph) -> list[Any]:
 
 def robots(graph: MultiRobotGraph) -> str:
     """A row for each robot."""
-    return table(HEAD, [_robot(one) for one in graph.maps])
+    return columns_of_text(HEAD, [_robot(one) for one in graph.maps])
 
 
 def _robot(one: PoseGraph) -> list[object]:
@@ -89,7 +89,7 @@ def _robot(one: PoseGraph) -> list[object]:
 
 
 def closures(graph: MultiRobotGraph) -> str:
-    """How many closures join which robots, and whether they join all of them."""
+    """Counts the closures between robots, and says whether they join all of them."""
     if len(graph.maps) < 2:
         return "no closures: there is one robot"
     between = graph.closures
@@ -100,11 +100,11 @@ def closures(graph: MultiRobotGraph) -> str:
         for a, b in between.pairs()
     ]
     joined = " | ".join(" ".join(graph.names[robot] for robot in group) for group in _groups(graph))
-    return f"{table(['robots', 'closures'], rows)}\nconnected by closures: {joined}"
+    return f"{columns_of_text(['robots', 'closures'], rows)}\nconnected by closures: {joined}"
 
 
 def oddities(graph: MultiRobotGraph) -> Iterator[str]:
-    """What a user should know before merging, one line each."""
+    """Finds what a user should know before merging, one line each."""
     for one in graph.maps:
         for odd in (*_odd_ids(one), *_odd_edges(one), *_odd_scale(one)):
             yield f"robot {one.name}: {odd}"
@@ -178,11 +178,11 @@ def _odd_closures(between: LoopClosures) -> Iterator[str]:
 
 
 def _is_odometry(one: PoseGraph) -> np.ndarray:
-    """Which edges `[e]` are between consecutive poses."""
+    """Marks the edges `[e]` between consecutive poses."""
     return np.abs(np.asarray(one.tail) - np.asarray(one.head)) == 1
 
 
 def _is_identity(measurement: Any) -> np.ndarray:
-    """Which transforms `[e]` are the identity, to the last bit."""
+    """Marks the transforms `[e]` that are the identity, to the last bit."""
     matrices = np.asarray(lie.as_matrix(lie.as_numpy(measurement)))
     return (matrices == np.eye(matrices.shape[-1])).all(axis=(1, 2))

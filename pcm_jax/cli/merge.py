@@ -7,7 +7,7 @@ from typing import Any
 
 from pcm_jax.cli import _outputs as outputs
 from pcm_jax.cli._progress import Progress
-from pcm_jax.cli._table import table
+from pcm_jax.tables import columns_of_text
 
 TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
 
@@ -117,7 +117,7 @@ def summary(report: dict[str, Any]) -> str:
 
 def _maps(cleaned: list[dict[str, Any]]) -> str:
     rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
-    return table(["inside robot", "measured", "accepted", "largest set"], rows)
+    return columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
 
 
 def _robots(report: dict[str, Any]) -> str:
@@ -126,7 +126,7 @@ def _robots(report: dict[str, Any]) -> str:
         [robot["name"], robot["poses"], robot["edges"], group_of[robot["name"]], _pose(anchor)]
         for robot, anchor in zip(report["robots"], report["anchors"], strict=True)
     ]
-    return table(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
+    return columns_of_text(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
 
 
 def _pose(anchor: dict[str, float] | None) -> str:
@@ -137,7 +137,7 @@ def _pose(anchor: dict[str, float] | None) -> str:
 
 def _pairs(pairs: list[dict[str, Any]]) -> str:
     rows = [[f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p)] for p in pairs]
-    return table(["robots", "measured", "accepted", "largest set"], rows)
+    return columns_of_text(["robots", "measured", "accepted", "largest set"], rows)
 
 
 def _optimal(pair: dict[str, Any]) -> str:

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int, UInt
 
+from pcm_jax.arrays import standard_rules
 from pcm_jax.clique._words import count, first, last, pack, precedes, single, some, unpack
 from pcm_jax.errors import InputError
 
@@ -47,6 +48,7 @@ class BatchedCliques(NamedTuple):
     optimal: Bool[Array, "*batch"]
 
 
+@standard_rules()
 def maximum_clique_batched(
     graphs: Bool[Array, "*batch m m"],
     *,

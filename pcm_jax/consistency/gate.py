@@ -11,11 +11,13 @@ from jax.core import Tracer
 from jax.scipy.special import gammainc, gammaincc, gammaln, ndtri
 from jaxtyping import Array, Float
 
+from pcm_jax.arrays import standard_rules
 from pcm_jax.errors import InputError
 
 ITERATIONS = 12
 
 
+@standard_rules()
 def chi2_gate(confidence: Any, dof: Any) -> Float[Array, "*batch"]:
     """Computes γ²: a right pair's squared distance is below it with probability `confidence`.
 

@@ -9,13 +9,14 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from pcm_jax.arrays import device_array
+from pcm_jax.arrays import device_array, standard_rules
 from pcm_jax.errors import InputError
 
 if TYPE_CHECKING:
     import networkx as nx
 
 
+@standard_rules()
 def consistency_graph(squared: Float[Array, "*batch m m"], gate: Any) -> Bool[Array, "*batch m m"]:
     """Makes the adjacency matrix: u and v agree if q²_uv and q²_vu are both within the gate.
 

@@ -10,6 +10,24 @@ moves pose j against pose i, and an error common to the whole map (the choice of
 G is built here, in float64, because it is a small difference of large numbers. For the same reason
 each map's origin is first moved to its middle (`MapCovariance.origin`), which changes no q, and
 does not move when a closure touches another pose.
+
+**Covariances of one's own optimiser.** `consistency_problem` takes maps as it finds them, and the
+joint covariance of the poses that closures touch (ascending, each once) as `marginals`. With GTSAM:
+
+```python
+import gtsam
+
+def joint_covariance(one, poses):
+    factors, values = pcm.to_gtsam(one)                # keys are the poses' ids
+    first, gauge = int(one.ids[0]), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+    factors.add(gtsam.PriorFactorPose2(first, values.atPose2(first), gauge))
+    keys = gtsam.KeyVector(one.ids[poses].tolist())
+    return gtsam.Marginals(factors, values).jointMarginalCovariance(keys).fullMatrix()
+
+touched = np.unique(closures.pose_a), np.unique(closures.pose_b)
+marginals = tuple(joint_covariance(one, poses) for one, poses in zip(maps, touched))
+problem = pcm.consistency_problem(*maps, closures, marginals=marginals)
+```
 """
 
 from __future__ import annotations

@@ -20,10 +20,8 @@ panel (compiled once: every panel has the same padded shape), the host prepares 
 from __future__ import annotations
 
 import functools
-import hashlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -40,6 +38,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.mapping.covariance import CovarianceColumns
+from pcm_jax.store import Store, digest
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, PoseGraph
@@ -151,8 +150,9 @@ def stream_from_covariances(
     count = len(closures)
     order = np.lexsort((np.asarray(closures.pose_b), np.asarray(closures.pose_a)))
     panels = [Panel(start, min(start + panel, count), count) for start in range(0, count, panel)]
-    store = _Store(folder, lambda: _stamp(map_a, map_b, closures, gate, panel))
-    kept = {part: bits for part in panels if (bits := store.read(part)) is not None}
+    stamp = _stamp(map_a, map_b, closures, gate, panel) if folder is not None else ""
+    store = Store(folder, stamp)
+    kept = {part: bits for part in panels if (bits := _kept(store, part)) is not None}
     missing = [part for part in panels if part not in kept]
     fresh = _computed(covariance_a, covariance_b, closures[order], gate, missing, panel)
     bits, done = np.zeros((count, -(-count // 8)), np.uint8), 0
@@ -160,7 +160,7 @@ def stream_from_covariances(
         within = kept.get(part)
         if within is None:
             within = next(fresh)
-            store.write(part, within)
+            store.write_array(_name(part), within)
         _insert(bits, part, within)
         done += part.pairs
         if progress is not None:
@@ -364,53 +364,20 @@ def _within_gate(
     return jax.lax.fori_loop(start // TILE, -(-count // TILE), tile, within)
 
 
-class _Store:
-    """Finished panels as files; nothing at all without a folder.
-
-    Args:
-        folder: is made if need be.
-        stamp: names what the panels depend on.
-    """
-
-    def __init__(self, folder: str | os.PathLike[str] | None, stamp: Callable[[], str]):
-        self._start = None
-        if folder is not None:
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            self._start = Path(folder, stamp())
-
-    def read(self, panel: Panel) -> UInt8[np.ndarray, "rows bytes"] | None:
-        """The panel's bits, mapped from its file; None if there is none, or a broken one."""
-        if self._start is None:
-            return None
-        try:
-            within = np.load(self._path(panel), mmap_mode="r")
-        except (OSError, EOFError, ValueError):
-            return None
-        return within if within.shape == panel.shape else None
-
-    def write(self, panel: Panel, within: UInt8[np.ndarray, "rows bytes"]) -> None:
-        """Writes a whole file or none."""
-        if self._start is None:
-            return
-        path = self._path(panel)
-        unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")
-        with unfinished.open("wb") as file:
-            np.save(file, within)
-        unfinished.replace(path)
-
-    def _path(self, panel: Panel) -> Path:
-        return Path(f"{self._start}-{panel.start:08d}.npy")
-
-
 def _stamp(
     map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures, gate: float, panel: int
 ) -> str:
     """A digest of all that the bits and their cut into panels depend on."""
-    digest = hashlib.blake2b(repr((FORMAT, closures.group, float(gate), panel)).encode())
     maps = [(m.poses, m.tail, m.head, m.measurement, m.information) for m in (map_a, map_b)]
     pairs = closures.pose_a, closures.pose_b, closures.measurement, closures.information
-    for leaf in jax.tree.leaves((maps, pairs)):
-        values = np.ascontiguousarray(leaf)
-        digest.update(repr((values.shape, values.dtype.str)).encode())
-        digest.update(values.data)
-    return digest.hexdigest()[:24]
+    return digest((FORMAT, closures.group, float(gate), panel), *jax.tree.leaves((maps, pairs)))
+
+
+def _name(panel: Panel) -> str:
+    return f"{panel.start:08d}"
+
+
+def _kept(store: Store, panel: Panel) -> UInt8[np.ndarray, "rows bytes"] | None:
+    """A panel's bits, mapped from its file; None if there is none, or one of another shape."""
+    within = store.read_array(_name(panel))
+    return within if within is not None and within.shape == panel.shape else None

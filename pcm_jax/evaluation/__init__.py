@@ -1,7 +1,8 @@
-"""How good a result is: rates of closures, errors of maps and trajectories, and their tables.
+"""Measures of a result: rates of closures, errors of maps and trajectories, and their table.
 
-metrics   rates, map errors, trajectory errors
-tables    figures by method as text
+    metrics   rates, map errors, trajectory errors
+
+Their table, `comparison_table`, is one of `pcm_jax.tables`.
 """
 
 from pcm_jax.evaluation.metrics import (
@@ -18,7 +19,7 @@ from pcm_jax.evaluation.metrics import (
     translation_mse,
     true_positive_rate,
 )
-from pcm_jax.evaluation.tables import comparison_table
+from pcm_jax.tables import comparison_table
 
 __all__ = [
     "PoseError",

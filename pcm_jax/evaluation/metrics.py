@@ -1,4 +1,4 @@
-"""How well closures were chosen, and how far an estimate is from the truth.
+"""Rates of chosen closures, and errors of an estimate against the truth.
 
 Trajectories are compared in one frame: `align="first"` moves the whole estimate, as one rigid body,
 so that its first pose is the true first pose (the gauge); `align="umeyama"` so that the sum of
@@ -148,7 +148,7 @@ def normalized_chi2(residual: Any, rows: int, columns: int) -> Any:
     return residual / (rows - columns) if rows > columns else residual * np.nan
 
 
-def on_host(poses: Any) -> Any:
+def host_poses(poses: Any) -> Any:
     """Poses (of a `PoseGraph` too) as a NumPy-backed transform; tracers as they are."""
     transform = getattr(poses, "poses", poses)
     traced = isinstance(lie.parameters(transform), Tracer)
@@ -170,7 +170,7 @@ def _mask(values: Any) -> Any:
 def _matched(estimate: Any, truth: Any) -> tuple[list[Any], list[Any]]:
     """Both as lists with one Lie batch for each robot, of the same sizes."""
     sides = [
-        [on_host(poses) for poses in (side if isinstance(side, list | tuple) else [side])]
+        [host_poses(poses) for poses in (side if isinstance(side, list | tuple) else [side])]
         for side in (estimate, truth)
     ]
     kinds = [

@@ -1,8 +1,10 @@
-"""What notebooks and benchmarks share: experiments over methods, graphs and simulated worlds.
+"""Experiments over methods, graphs and simulated worlds, which notebooks and benchmarks share.
 
-comparison     every method on the same maps, closures and evidence, beside the truth
-sweep          every method at every gate on thousands of simulated worlds
-_sweep_files   its Parquet files, and how it resumes
+    comparison     every method on the same maps, closures and evidence, beside the truth
+    sweep          every method at every gate on thousands of simulated worlds
+    _sweep_files   its Parquet files, by which it resumes
+
+Which methods, worlds and gates the paper has is for the benchmarks to say.
 """
 
 from pcm_jax.experiments.comparison import Compared, Method, compare_methods, mean_figures

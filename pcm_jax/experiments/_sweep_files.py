@@ -1,8 +1,7 @@
-"""What a sweep writes: a folder of Parquet files, which readers take for one table.
+"""The folder of Parquet files that a sweep writes, which readers take for one table.
 
-Each file holds some consecutive worlds, named after them, whole or not at all: it is written under
-a name that starts with a dot, which readers pass over, and renamed. What all rows depend on stands
-in every file, so that rows of two sweeps are never mixed.
+Each file holds some consecutive worlds, named after them, whole or not at all. What all rows depend
+on stands in every file, so that rows of two sweeps are never mixed.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from pcm_jax.errors import InputError
+from pcm_jax.store import written_whole
 
 _NAME = re.compile(r"worlds-(\d+)-(\d+)\.parquet")
 _ABOUT = b"pcm_jax.sweep"
@@ -43,7 +43,7 @@ class SweepFiles:
             self._check(path)
 
     def done(self, worlds: int) -> Bool[np.ndarray, " worlds"]:
-        """Which of the first so many worlds are written."""
+        """Marks those of the first so many worlds that are written."""
         done = np.zeros(worlds, bool)
         for _, start, stop in self._parts():
             done[start:stop] = True
@@ -55,10 +55,8 @@ class SweepFiles:
 
         about = {_ABOUT: json.dumps(self._about).encode()}
         table = pa.table(dict(columns)).replace_schema_metadata(about)
-        name = f"worlds-{start:010d}-{stop:010d}.parquet"
-        unfinished = self._folder / f".{name}.{os.getpid()}"
-        self._parquet.write_table(table, unfinished)
-        unfinished.replace(self._folder / name)
+        with written_whole(self._folder / f"worlds-{start:010d}-{stop:010d}.parquet") as unfinished:
+            self._parquet.write_table(table, unfinished)
 
     def _parts(self) -> Iterator[tuple[Path, int, int]]:
         for path in sorted(self._folder.iterdir()):
@@ -86,6 +84,6 @@ def _parquet() -> ModuleType:
         import pyarrow.parquet
     except ImportError:
         raise InputError(
-            "pyarrow: not installed, but sweeps write Parquet: pip install 'pcm-jax[sweep]'"
+            "pyarrow: not installed, but sweeps write Parquet: pip install '.[sweep]'"
         ) from None
     return pyarrow.parquet

@@ -26,6 +26,7 @@ from pcm_jax.evaluation.metrics import (
     true_positive_rate,
 )
 from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.graph.checked import as_mask
 from pcm_jax.pipeline import merge, select, weigh
 from pcm_jax.selection import METHODS
 
@@ -80,12 +81,12 @@ BEYOND_THE_PAPER: dict[str, Method] = {
 
 
 def _selects(method: Method) -> bool:
-    """Whether a method selects from the evidence, a function of one's own included."""
+    """True if a method selects from the evidence, a function of one's own included."""
     return callable(method.name) or method.name in METHODS
 
 
 class Compared(NamedTuple):
-    """What became of one method.
+    """The result of one method.
 
     Attributes:
         accepted: bool `[m]`.
@@ -137,12 +138,7 @@ def compare_methods(
             what `merge` raises.
     """
     rows = dict(PAPER | CALIBRATED if methods is None else methods)
-    right = np.asarray(is_true)
-    if right.dtype != bool or right.shape != (len(graph.closures),):
-        raise InputError(
-            f"is_true: {right.dtype} {list(right.shape)} given, expected bool "
-            f"[{len(graph.closures)}], one per closure"
-        )
+    right = as_mask(is_true, "is_true", len(graph.closures))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         bench = _Bench(graph, right, truth, rows, optimized, minimum_inliers, engine)
@@ -169,7 +165,7 @@ class _Selected(NamedTuple):
 
 
 class _Bench:
-    """What all methods share on one graph: maps, Q, merges by the same closures, the reference.
+    """All that methods share on one graph: maps, Q, merges by the same closures, the reference.
 
     All merges share one symbolic plan, with room for whatever a method selects; but for the merge
     by every closure, whose plan is large.

@@ -5,6 +5,34 @@ program draws worlds, weighs their closures (Q), lets every method choose at eve
 without the host. A device takes worlds in blocks that fit its caches, one block after the other,
 always of the same size: how many worlds are asked for at once, and how many devices share them,
 changes no number.
+
+A call that was killed goes on where it stopped, and one with more worlds adds those:
+
+```python
+import pyarrow.parquet
+grid = dict(methods=("pcm-heuristic", "ransac"), confidences=(0.11, 0.99), poses=200, random=20)
+pcm.sweep("sweep", worlds=200, **grid)
+rows = pyarrow.parquet.read_table("sweep")             # pandas and polars read the folder as well
+```
+
+A mesh shares the work out, Q by rows and sweeps by worlds; the numbers stay the same:
+
+```python
+mesh = jax.sharding.Mesh(np.array(jax.devices()), ("devices",))
+shared = pcm.squared_mahalanobis(problem, mesh=mesh)   # padded to a multiple of the devices
+pcm.sweep("sweep", worlds=400, mesh=mesh, **grid)      # 200 are there: 200 are added
+```
+
+- One node, several GPUs: just that. On a CPU, the environment variable
+  `XLA_FLAGS=--xla_force_host_platform_device_count=8` makes eight devices of it.
+- Several hosts (a TPU slice, Slurm): start the same script on each, and call
+  `jax.distributed.initialize()` before all else of JAX; there it finds the others by itself.
+  Elsewhere it takes the first host's address, how many there are and one's own number.
+  `jax.devices()` is then all of theirs. The first process writes the sweep; of Q each has its own
+  rows, `shared.addressable_shards`.
+- Compiling once: `jax.config.update("jax_compilation_cache_dir", "…")` keeps what is compiled for
+  all processes to come. Two cores' first `sweep` took 2 s of processor time instead of 13, the
+  first `merge` 5 s instead of 7.
 """
 
 from __future__ import annotations
@@ -117,7 +145,7 @@ def sweep(
 
 
 class Outcomes(NamedTuple):
-    """What came of some worlds; `methods` and `confidences` as in the grid.
+    """The outcome of some worlds; `methods` and `confidences` as in the grid.
 
     Attributes:
         closures: int32 `[w]`, in all.
@@ -141,7 +169,7 @@ class Outcomes(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """What a program is compiled for.
+    """All that a program is compiled for.
 
     Attributes:
         methods: names.
@@ -159,7 +187,7 @@ class Shape(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """What a program is run with.
+    """All that a program is run with.
 
     Attributes:
         gates: float64 `[confidences]`, γ².
@@ -171,14 +199,14 @@ class Numbers(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """What is run on every world, and the worlds' law."""
+    """Methods and gates that are run on every world, and the worlds' law."""
 
     confidences: tuple[float, ...]
     shape: Shape
     numbers: Numbers
 
     def about(self, seed: int) -> dict[str, Any]:
-        """What rows depend on, as JSON has it."""
+        """All that rows depend on, as JSON has it."""
         numbers = {name: float(value) for name, value in self.numbers.law.items()}
         law = {name: getattr(value, "__name__", value) for name, value in self.shape.law}
         methods, confidences = list(self.shape.methods), list(self.confidences)

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jaxlie
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
@@ -149,6 +149,21 @@ def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
     if len(unique) < count:
         raise InputError(f"ids: {unique[np.argmax(counts)]} occurs more than once")
     return values.astype(np.int64)
+
+
+def as_mask(mask: Any, argument: str, count: int) -> Bool[np.ndarray, " m"]:
+    """Bool `[count]`, one per closure.
+
+    Raises:
+        InputError: for another shape or dtype.
+    """
+    values = np.asarray(mask)
+    if values.dtype != bool or values.shape != (count,):
+        raise InputError(
+            f"{argument}: {values.dtype} {list(values.shape)} given, expected bool [{count}], one "
+            "per closure"
+        )
+    return values
 
 
 def as_weights(weights: Any, count: int) -> Float[np.ndarray, " m"]:

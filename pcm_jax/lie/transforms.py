@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from pcm_jax import arrays
-from pcm_jax.arrays import device_array, namespace
+from pcm_jax.arrays import device_array, namespace, standard_rules
 from pcm_jax.errors import InputError
 from pcm_jax.lie import r1, se2, se3, unrolled
 from pcm_jax.lie.r1 import R1
@@ -37,10 +37,12 @@ _FIELDS = {jaxlie.SE2: "unit_complex_xy", jaxlie.SE3: "wxyz_xyz", R1: "x"}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def own_precision(tree: Any) -> contextlib.AbstractContextManager[Any]:
-    """A scope with 64-bit types enabled if `tree` holds any array of them, else an empty one."""
+@contextlib.contextmanager
+def own_precision(tree: Any) -> Iterator[None]:
+    """A scope for kernels: 64-bit types if `tree` holds any array of them; standard promotion."""
     wide = any(getattr(leaf, "dtype", None) == np.float64 for leaf in jax.tree.leaves(tree))
-    return jax.enable_x64(True) if wide else contextlib.nullcontext()
+    with jax.enable_x64(True) if wide else contextlib.nullcontext(), standard_rules():
+        yield
 
 
 def _jit_unless_numpy(function: F) -> F:

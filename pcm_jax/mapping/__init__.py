@@ -4,6 +4,7 @@ Data walks through this folder once:
 
     initialization      poses to start from (chordal relaxation, spanning tree)
     _linearization      residuals of the edges and their Jacobians, in closed form
+    _callbacks          host code called from a compiled program, on any device
     _normal_equations   the linear system of a step, as lineax operator and solvers
     _gauss_newton       the optimistix solver that steps on the manifold
     least_squares       padding and one compiled call around all of these

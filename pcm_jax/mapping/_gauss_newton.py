@@ -23,39 +23,36 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax.mapping._linearization import Edges, linearize, retract
-from pcm_jax.mapping._normal_equations import BlockJacobian
+from pcm_jax.mapping._linearization import Edges, linearize, retract, whitened_residual
+from pcm_jax.mapping._normal_equations import (
+    BlockCholesky,
+    BlockJacobian,
+    Cholmod,
+    DampedJacobian,
+)
 
 
 class Problem(eqx.Module):
-    """What the solver is given as `args`: the structured least-squares problem, padded.
+    """The solver's `args`: the structured least-squares problem, padded.
 
     Attributes:
         edges: measurements; padded ones weigh nothing.
         free: `[n]` poses that may move.
-        system: handle of the normal equations' pattern.
+        counts: poses and edges that are no padding, `[2]`.
         max_steps: evaluations of the cost after which to give up; traced, so that no other value
             is compiled for.
     """
 
     edges: Edges
     free: Bool[Array, " n"]
-    system: Int[Array, ""]
+    counts: Int[Array, "2"]
     max_steps: Int[Array, ""]
 
 
 def _linearize(poses: Any, problem: Problem) -> Any:
     residual, by_tail, by_head = linearize(poses, problem.edges)
-    undamped = jnp.zeros((), residual.dtype)
-    jacobian = BlockJacobian(
-        problem.edges.tail,
-        problem.edges.head,
-        by_tail,
-        by_head,
-        problem.free,
-        problem.system,
-        undamped,
-    )
+    ends = problem.edges.tail, problem.edges.head
+    jacobian = BlockJacobian(*ends, by_tail, by_head, problem.free, problem.counts)
     return optx.FunctionInfo.ResidualJac(residual, jacobian)
 
 
@@ -82,9 +79,11 @@ class RelativelyDampedDescent(optx.AbstractDescent):
 
     def step(self, step_size: Array, state: Any) -> tuple[Array, optx.RESULTS]:
         """δ for λ = `first_damping` / `step_size`."""
-        damping = jnp.asarray(self.first_damping / step_size, state.jac.damping.dtype)
-        jacobian = eqx.tree_at(lambda j: j.damping, state.jac, damping)
-        solution = lx.linear_solve(jacobian, state.residual, self.linear_solver, throw=False)
+        residual = state.residual
+        damping = jnp.asarray(self.first_damping / step_size, residual.dtype)
+        below = _zeros(state.jac.in_structure())
+        damped = DampedJacobian(state.jac, damping)
+        solution = lx.linear_solve(damped, (residual, below), self.linear_solver, throw=False)
         return -solution.value, optx.RESULTS.promote(solution.result)
 
 
@@ -219,7 +218,7 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
     def terminate(
         self, fn: Any, y: Any, args: Problem, options: Any, state: _State, tags: Any
     ) -> tuple[Array, optx.RESULTS]:
-        """Whether the last step settled, or what went wrong."""
+        """True once a step has settled; and what went wrong, if anything did."""
         del fn, y, args, options, tags
         return state.terminate, state.result
 
@@ -244,18 +243,32 @@ def _choose(predicate: Array, when_true: Any, when_false: Any) -> Any:
     return jax.lax.cond(predicate, lambda: when_true, lambda: when_false)
 
 
-def gauss_newton(
-    linear_solver: lx.AbstractLinearSolver, *, rtol: float, atol: float
-) -> ManifoldGaussNewton:
-    """Full steps, every one accepted."""
-    descent = optx.NewtonDescent(linear_solver=linear_solver)
-    return ManifoldGaussNewton(rtol=rtol, atol=atol, descent=descent, search=optx.LearningRate(1.0))
+def least_squares(
+    start: Any, problem: Problem, *, solver: str, engine: str, rtol: float, atol: float
+) -> optx.Solution:
+    """Minimises half the sum of squares of `whitened_residual` by optimistix.
 
-
-def levenberg_marquardt(
-    linear_solver: lx.AbstractLinearSolver, *, rtol: float, atol: float
-) -> ManifoldGaussNewton:
-    """Damped steps, accepted by optimistix's classical trust region."""
-    descent = RelativelyDampedDescent(linear_solver)
-    search = optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=10.0)
-    return ManifoldGaussNewton(rtol=rtol, atol=atol, descent=descent, search=search)
+    Args:
+        start: poses, Lie `[n]`.
+        problem: see there.
+        solver: "gauss-newton": full steps, every one accepted; or "levenberg-marquardt": damped
+            steps, accepted by optimistix's classical trust region.
+        engine: "blocks" or "cholmod".
+        rtol, atol: see `ManifoldGaussNewton`.
+    """
+    linear = {"blocks": BlockCholesky, "cholmod": Cholmod}[engine]()
+    descent, search = {
+        "gauss-newton": lambda: (optx.NewtonDescent(linear_solver=linear), optx.LearningRate(1.0)),
+        "levenberg-marquardt": lambda: (
+            RelativelyDampedDescent(linear),
+            optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=10.0),
+        ),
+    }[solver]()
+    return optx.least_squares(
+        lambda poses, args: whitened_residual(poses, args.edges),
+        ManifoldGaussNewton(rtol=rtol, atol=atol, descent=descent, search=search),
+        start,
+        problem,
+        max_steps=None,  # the problem has its own
+        throw=False,
+    )

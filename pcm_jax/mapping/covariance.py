@@ -26,11 +26,11 @@ from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import apart, edge_products, linearize
-from pcm_jax.mapping._normal_equations import system_for
 from pcm_jax.mapping.least_squares import padded_edges, padded_size
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.sparse.cholesky import CholeskyFactor, NotPositiveDefiniteError
 from pcm_jax.sparse.inverse import inverse_block, inverse_columns, inverse_diagonal
+from pcm_jax.sparse.system import system_for
 
 SIDES = ("right", "left")
 COMPILED_FROM = 8192

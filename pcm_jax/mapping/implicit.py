@@ -9,7 +9,7 @@ with ġ the derivative of g along the data's own, X held, and H = ∂g/∂X. H i
 leaves out what the residuals' curvature adds, a few per cent of the derivative on real graphs. Edge
 by edge it has the blocks of the normal equations, so their sparse factorisation serves here too.
 
-Everything below is traced, the pattern included: a callback looks its plan up by content. It takes
+Everything below is traced, the pattern included: the host finds its plan by content. It takes
 one factorisation for a derivative, forward or reverse, and one for the Newton step that ends a
 solve.
 """
@@ -17,7 +17,6 @@ solve.
 from __future__ import annotations
 
 import functools
-from collections import deque
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -29,40 +28,37 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.lie import unrolled
+from pcm_jax.mapping._callbacks import call_host
 from pcm_jax.mapping._linearization import (
     Edges,
     apart,
     multiply,
     retract,
     slopes,
-    whitened_residual,
 )
-from pcm_jax.mapping._normal_equations import BlockCholesky, System, system_for, system_of
+from pcm_jax.mapping._normal_equations import system_of
 from pcm_jax.mapping.least_squares import ATOL, MAX_STEPS, RTOL
+from pcm_jax.sparse import registry
 from pcm_jax.sparse.cholesky import NotPositiveDefiniteError
-
-MOST_PATTERNS = 1024
-"""Patterns that one batch may hold, so that none is forgotten between naming it and using it."""
-_named: deque[System] = deque(maxlen=MOST_PATTERNS)
 
 
 class Pattern(NamedTuple):
-    """Which poses the edges join, padded; the last pose that counts is held, all others are free.
+    """The poses that each edge joins, padded; the last that counts is held, all others are free.
 
     Attributes:
         tail, head: int32 `[e]`; padded edges join the first pose to itself.
         free: bool `[n]`, false for the held pose and for padding.
-        system: handle of the normal equations' pattern, from `pattern_of`.
+        counts: int32 `[2]`, poses and edges that are no padding.
     """
 
     tail: Int[Array, " e"]
     head: Int[Array, " e"]
     free: Bool[Array, " n"]
-    system: Int[Array, ""]
+    counts: Int[Array, "2"]
 
 
 class Data(eqx.Module):
-    """What the optimum depends on, padded; padded edges have weight zero.
+    """The data that the optimum depends on, padded; padded edges have weight zero.
 
     Attributes:
         measurement: Lie `[e]`.
@@ -82,51 +78,27 @@ def pattern_of(
     poses: Int[Array, ""],
     edges: Int[Array, ""],
     size: int,
-    block_dim: int,
 ) -> Pattern:
-    """Pads a pattern and finds its system.
+    """Pads a pattern.
 
     Args:
         tail, head: of all edges, those that count first; may be traced.
         poses: number of poses that count; the last is held.
         edges: number of edges that count; the others join the first pose to itself.
         size: padded number of poses, and of edges.
-        block_dim: d.
     """
-    from jax.experimental.buffer_callback import buffer_callback
-
-    name = buffer_callback(
-        functools.partial(_name_system, block_dim),
-        jax.ShapeDtypeStruct((), jnp.int32),
-        vmap_method="sequential",
-    )
     missing = (0, size - len(tail))
-    system = name(tail, head, poses, edges)
-    return Pattern(
-        jnp.pad(tail, missing), jnp.pad(head, missing), jnp.arange(size) < poses - 1, system
-    )
-
-
-def _name_system(
-    block_dim: int, context: Any, out: Any, tail: Any, head: Any, poses: Any, edges: Any
-) -> None:
-    """Body of the callback: the handle of the pattern's system."""
-    del context
-    count, size = int(np.asarray(edges)), int(np.asarray(poses))
-    held = np.arange(size) == size - 1
-    # Copies: the buffers live for the length of this call only.
-    own_tail, own_head = (np.asarray(end)[:count].copy() for end in (tail, head))
-    system = system_for(size, own_tail, own_head, held, block_dim)
-    _named.append(system)
-    np.asarray(out)[...] = system.handle
+    counts = jnp.stack([poses, edges]).astype(jnp.int32)
+    free = jnp.arange(size) < poses - 1
+    return Pattern(jnp.pad(tail, missing), jnp.pad(head, missing), free, counts)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def optimum(method: str, pattern: Pattern, start: Any, data: Data) -> tuple[Any, Bool[Array, ""]]:
+def optimum(solver: str, pattern: Pattern, start: Any, data: Data) -> tuple[Any, Bool[Array, ""]]:
     """The poses of least cost, differentiable by `data`, in both modes and more than once.
 
     Args:
-        method: "gauss-newton" or "levenberg-marquardt".
+        solver: "gauss-newton" or "levenberg-marquardt".
         pattern: see there.
         start: Lie `[n]`; the result does not depend on it, and no derivative is taken.
         data: see there.
@@ -137,25 +109,13 @@ def optimum(method: str, pattern: Pattern, start: Any, data: Data) -> tuple[Any,
     """
     import optimistix as optx
 
-    from pcm_jax.mapping import _gauss_newton as gauss_newton
+    from pcm_jax.mapping._gauss_newton import Problem, least_squares
 
-    make = {
-        "gauss-newton": gauss_newton.gauss_newton,
-        "levenberg-marquardt": gauss_newton.levenberg_marquardt,
-    }[method]
     lower = jnp.linalg.cholesky(data.information) * jnp.sqrt(data.weight)[:, None, None]
     edges = Edges(pattern.tail, pattern.head, data.measurement, jnp.moveaxis(lower, (0, 2), (2, 0)))
-    problem = gauss_newton.Problem(
-        edges, pattern.free, pattern.system, jnp.asarray(MAX_STEPS, jnp.int32)
-    )
-    solution = optx.least_squares(
-        lambda poses, args: whitened_residual(poses, args.edges),
-        make(BlockCholesky(), rtol=RTOL, atol=ATOL),
-        start,
-        problem,
-        max_steps=None,  # the problem has its own
-        throw=False,
-    )
+    problem = Problem(edges, pattern.free, pattern.counts, jnp.asarray(MAX_STEPS, jnp.int32))
+    options = {"solver": solver, "engine": "blocks", "rtol": RTOL, "atol": ATOL}
+    solution = least_squares(start, problem, **options)
     edges = _about(pattern, solution.value, data)
     newton = -_solve(pattern, _hessian(edges), _gradient(pattern, edges))
     poses = retract(solution.value, newton)
@@ -164,9 +124,9 @@ def optimum(method: str, pattern: Pattern, start: Any, data: Data) -> tuple[Any,
 
 
 @optimum.defjvp
-def _optimum_jvp(method: str, primals: Any, tangents: Any) -> Any:
+def _optimum_jvp(solver: str, primals: Any, tangents: Any) -> Any:
     pattern, start, data = primals
-    poses, converged = optimum(method, pattern, start, data)
+    poses, converged = optimum(solver, pattern, start, data)
     # Without a minimum, a harmless point instead: what is not finite must not meet a zero below.
     harmless = (_identities(poses), _harmless(data))
     at, near = jax.tree.map(lambda x, y: jnp.where(converged, x, y), (poses, data), harmless)
@@ -218,8 +178,9 @@ def _about(pattern: Pattern, poses: Any, data: Data) -> _Edges:
     back = jnp.swapaxes(jacobian, 0, 1)
     information = jnp.moveaxis(data.information, 0, -1) * data.weight
     pull = multiply(information, residual[:, None])
-    bend = functools.partial(_bend, lie.module_of(lie.group_of(poses)))
-    curved = multiply(back, information) + apart(pattern.tail[0] >= 0, bend, residual, pull[:, 0])
+    always, group = pattern.tail[0] >= 0, lie.module_of(lie.group_of(poses))
+    bent = apart(always, _bend, residual, pull[:, 0], static=(group,))
+    curved = multiply(back, information) + bent
     force = multiply(back, pull)[:, 0]
     return _Edges(residual, jacobian, transport, force, multiply(curved, jacobian))
 
@@ -253,7 +214,7 @@ def _gradient(pattern: Pattern, edges: _Edges) -> Float[Array, "n d"]:
 
 
 def _both_ends(edges: _Edges, force: Float[Array, "d e"]) -> tuple[Array, Array]:
-    """What a gradient by δ is by δ_i and by δ_j."""
+    """A gradient by δ as gradients by δ_i and by δ_j."""
     return -multiply(jnp.swapaxes(edges.transport, 0, 1), force[:, None])[:, 0], force
 
 
@@ -287,7 +248,6 @@ def _solve(
     pattern: Pattern, products: Float[Array, "3 e d d"], right: Float[Array, "n d"]
 ) -> Float[Array, "n d"]:
     """H⁻¹ `right`, for a right side that is zero at held poses; linear in it, and symmetric."""
-    from jax.experimental.buffer_callback import buffer_callback
 
     def times_hessian(step: Float[Array, "n d"]) -> Float[Array, "n d"]:
         step = jnp.where(pattern.free[:, None], step, 0.0)
@@ -300,21 +260,24 @@ def _solve(
 
     def solve(_: Any, vector: Float[Array, "n d"]) -> Float[Array, "n d"]:
         struct = jax.ShapeDtypeStruct(vector.shape, vector.dtype)
-        call = buffer_callback(_solve_on_host, struct, vmap_method="sequential")
-        return call(pattern.system, products, vector)
+        return call_host(_solve_on_host, struct, *pattern, products, vector)
 
     return jax.lax.custom_linear_solve(times_hessian, right, solve, symmetric=True)
 
 
-def _solve_on_host(context: Any, out: Any, handle: Any, products: Any, right: Any) -> None:
-    """Body of the callback: H⁻¹ `right` into the buffer `out`, NaN if H has no factor."""
-    del context
-    system, step = system_of(handle), np.asarray(out)
-    try:
-        factor = system.factorize(np.asarray(products).astype(np.float64, copy=False))
-    except NotPositiveDefiniteError:
-        step[...] = np.nan
-        return
-    step[...] = 0.0
-    known = np.asarray(right)[: system.size].astype(np.float64, copy=False)
-    step[: system.size] = factor.solve(known.ravel()).reshape(known.shape)
+def _solve_on_host(out: np.ndarray, *arguments: np.ndarray) -> None:
+    """Body of the callback: H⁻¹ `right` into `out`, NaN if H has no factor.
+
+    It is the last of its solve's factorisations, or of a derivative's, so no memory is kept.
+    """
+    *pattern, products, right = arguments
+    system = system_of(pattern, products.shape[-1])
+    known = right[: system.size].astype(np.float64, copy=False)
+    with registry.spare.borrow(system.plan.scalars, last=True) as memory:
+        try:
+            factor = system.factorize(products.astype(np.float64, copy=False), 0.0, memory)
+        except NotPositiveDefiniteError:
+            out[...] = np.nan
+        else:
+            out[...] = 0.0
+            out[: system.size] = factor.solve(known.ravel()).reshape(known.shape)

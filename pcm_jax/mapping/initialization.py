@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.mapping._normal_equations import System, system_for
+from pcm_jax.sparse.system import System, system_for
 
 SMALLEST_WEIGHT = 1e-6
 """Relative to the median: keeps nearly free edges from making the relaxation singular."""

@@ -1,4 +1,4 @@
-"""The host's side of a solve: padding, the pattern's system, one compiled call, the result.
+"""The host's side of a solve: padding, one compiled call, the result.
 
 `PoseProblem` takes any graph of poses, one map or several merged ones; `optimize` and the merge are
 thin callers. Robust methods solve one problem again and again, with other weights of its edges.
@@ -17,10 +17,10 @@ from jaxtyping import Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, on_host
 from pcm_jax.errors import InputError
-from pcm_jax.mapping._linearization import Edges, whitened_residual, whitening_of
-from pcm_jax.sparse.cholesky import free_spare_memory
+from pcm_jax.mapping._linearization import Edges, whitening_of
+from pcm_jax.sparse import registry
 
-METHODS = ("gauss-newton", "levenberg-marquardt")
+SOLVERS = ("gauss-newton", "levenberg-marquardt")
 ENGINES = ("blocks", "cholmod")
 RTOL = 1e-9
 ATOL = 1e-9
@@ -32,12 +32,12 @@ FINE_ABOVE = 4096
 
 
 def padded_size(poses: int, edges: int) -> int:
-    """How many poses, and how many edges, the kernels see: one size for both."""
+    """The number of poses, and of edges, that the kernels see: one size for both."""
     return bucket(max(poses, edges), smallest=SMALLEST_PADDED, fine_above=FINE_ABOVE)
 
 
 def padded_poses(poses: int, edges: int) -> int:
-    """How many poses the solver sees: as many as edges, or in large graphs fewer.
+    """The number of poses that the solver sees: as many as edges, or in large graphs fewer.
 
     CHOLMOD factorises the rows of padded poses too, and they would be half of City10000's.
     """
@@ -45,7 +45,7 @@ def padded_poses(poses: int, edges: int) -> int:
 
 
 class Solved(NamedTuple):
-    """What `PoseProblem.solve` returns, on the host.
+    """The result of `PoseProblem.solve`, on the host.
 
     Attributes:
         poses: Lie `[n]`, NumPy.
@@ -61,10 +61,10 @@ class Solved(NamedTuple):
     converged: bool
 
 
-def check_names(method: str, engine: str) -> None:
-    """Raises InputError unless method and engine are known, and the engine's extra installed."""
-    if method not in METHODS:
-        raise InputError(f"method: {method!r} given, expected one of {', '.join(METHODS)}")
+def check_names(solver: str, engine: str) -> None:
+    """Raises InputError unless solver and engine are known, and the engine's extra installed."""
+    if solver not in SOLVERS:
+        raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
     if engine not in ENGINES:
         raise InputError(f"engine: {engine!r} given, expected one of {', '.join(ENGINES)}")
     if engine == "cholmod":
@@ -72,7 +72,7 @@ def check_names(method: str, engine: str) -> None:
             import sparsax  # noqa: F401
         except ImportError as error:
             raise InputError(
-                "engine: 'cholmod' needs the package sparsax: pip install 'pcm-jax[cholmod]'"
+                "engine: 'cholmod' needs the package sparsax: pip install '.[cholmod]'"
             ) from error
 
 
@@ -94,13 +94,10 @@ class PoseProblem:
         information: Float[np.ndarray, "e d d"],
         fixed: Bool[np.ndarray, " n"],
     ):
-        from pcm_jax.mapping._normal_equations import system_for
-
         tail, head, held = np.asarray(tail), np.asarray(head), np.asarray(fixed)
         self._poses, self._edges = len(held), len(tail)
         size = padded_size(self._poses, self._edges)
         self._size = padded_poses(self._poses, self._edges)
-        self._system = system_for(self._poses, tail, head, held, information.shape[-1])
         self._free = np.pad(~held, (0, self._size - self._poses))
         self._padded = padded_edges(tail, head, measurement, information, size=size)
 
@@ -110,7 +107,7 @@ class PoseProblem:
         poses: Any,
         *,
         scale: Float[np.ndarray, " e"] | None = None,
-        method: str = "gauss-newton",
+        solver: str = "gauss-newton",
         engine: str = "blocks",
         rtol: float = RTOL,
         atol: float = ATOL,
@@ -121,7 +118,7 @@ class PoseProblem:
         Args:
             poses: Lie `[n]`.
             scale: s of each edge; None: all 1.
-            method: "gauss-newton" or "levenberg-marquardt".
+            solver: "gauss-newton" or "levenberg-marquardt".
             engine: "blocks" or "cholmod".
             rtol, atol: see `ManifoldGaussNewton`.
             max_steps: evaluations after which to give up.
@@ -131,13 +128,17 @@ class PoseProblem:
         """
         from pcm_jax.mapping._gauss_newton import Problem
 
-        check_names(method, engine)
-        arrays: Any = self._free, np.asarray(self._system.handle), np.asarray(max_steps)
+        check_names(solver, engine)
+        arrays: Any = (
+            self._free,
+            np.array([self._poses, self._edges], np.int32),
+            np.asarray(max_steps),
+        )
         problem = Problem(self._scaled(scale), *arrays)
         start = lie.pad_leading(lie.as_numpy(poses), self._size)
-        run = _compiled(method, engine, rtol, atol)
+        run = _compiled(solver, engine, rtol, atol)
         final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
-        free_spare_memory()
+        registry.spare.free()
         return Solved(
             lie.take(lie.as_numpy(final), slice(0, self._poses)),
             float(initial_cost),
@@ -174,30 +175,17 @@ def padded_edges(
 
 
 @functools.lru_cache(maxsize=64)
-def _compiled(method: str, engine: str, rtol: float, atol: float) -> Any:
+def _compiled(solver: str, engine: str, rtol: float, atol: float) -> Any:
     """The whole solve as one compiled program per padded size."""
     import optimistix as optx
 
-    from pcm_jax.mapping import _gauss_newton as gauss_newton
-    from pcm_jax.mapping import _normal_equations as normal_equations
+    from pcm_jax.mapping._gauss_newton import least_squares
 
-    engines = {"blocks": normal_equations.BlockCholesky, "cholmod": normal_equations.Cholmod}
-    make = {
-        "gauss-newton": gauss_newton.gauss_newton,
-        "levenberg-marquardt": gauss_newton.levenberg_marquardt,
-    }[method]
+    options: Any = {"solver": solver, "engine": engine, "rtol": rtol, "atol": atol}
 
     @jax.jit
     def solve_poses(start: Any, problem: Any) -> Any:
-        solver = make(engines[engine](), rtol=rtol, atol=atol)
-        solution = optx.least_squares(
-            lambda poses, args: whitened_residual(poses, args.edges),
-            solver,
-            start,
-            problem,
-            max_steps=None,  # the problem has its own
-            throw=False,
-        )
+        solution = least_squares(start, problem, **options)
         stats = solution.stats
         return (
             solution.value,

@@ -8,6 +8,27 @@ The gauge. A closure of weight zero joins nothing, so which robots hang together
 time only. One more pose, the world's, stands fixed at the origin, and an edge from it to each
 robot's first pose holds the first robot of every group where its own map has it. All else is free
 to move with that robot, so these edges end up without residual, whatever their weight.
+
+**Training through it.** What a network says of each closure can be trained through consistency,
+selection and merge:
+
+```python
+import dataclasses
+import jax.numpy as jnp
+gate, ready = pcm.chi2_gate(0.99, dof=3), pcm.MultiRobotGraph(tuple(maps), closures)
+
+def loss(scale):                                       # of each closure's covariance
+    covariance = scale[:, None, None] * problem.measurement_covariance
+    learnt = dataclasses.replace(problem, measurement_covariance=covariance)
+    weights = pcm.soft_select(pcm.squared_mahalanobis(learnt), gate, temperature=1.0)
+    poses_a, poses_b = pcm.merge_differentiable(ready, weights)
+    return jnp.sum(poses_b.translation() ** 2)         # any function of the merged map
+
+slope = jax.grad(loss)(jnp.ones(len(problem.valid)))
+```
+
+Bad samples of a batch are NaN, change nothing else and have derivative zero; `pad_graph` makes
+worlds of different sizes one batch.
 """
 
 from __future__ import annotations
@@ -15,17 +36,21 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import host_device
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
-from pcm_jax.mapping.least_squares import METHODS, padded_size
+from pcm_jax.mapping.least_squares import SOLVERS, padded_size
 
 MOST_COMPARED = 256
 """Closures of a pair, the weightiest, among which the medoid is sought."""
@@ -46,7 +71,9 @@ def merge_differentiable(
     up with such, for `vmap`, and the rest is the same bit for bit.
 
     Safe under jit, vmap (problems are solved one after the other), grad, jvp, and their
-    compositions, with the graph closed over or as an argument. Derivatives are those of the exact
+    compositions, with the graph closed over or as an argument. The linear systems are solved on
+    the host; a call outside jit runs on the CPU altogether, and a program that is compiled for
+    another device goes back and forth. Derivatives are those of the exact
     optimum, by the implicit function theorem, with respect to:
 
     - `weights`, also at zero;
@@ -86,13 +113,28 @@ def merge_differentiable(
     Raises:
         InputError: for an unknown solver, or another number of weights than closures.
     """
-    if solver not in METHODS:
-        raise InputError(f"solver: {solver!r} given, expected one of {', '.join(METHODS)}")
+    if solver not in SOLVERS:
+        raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
     count = len(graph.closures)
     if jnp.shape(weights) != (count,):
         raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")
-    with lie.own_precision(graph):
+    leaves = jax.tree.leaves((graph, weights))
+    if not any(isinstance(leaf, Tracer) for leaf in leaves):
+        graph, weights = jax.tree.map(np.asarray, (graph, weights))
+    with _scope(graph):
         return _merged(solver, graph, jnp.asarray(weights, graph.closures.information.dtype))
+
+
+@contextmanager
+def _scope(graph: MultiRobotGraph) -> Iterator[None]:
+    """The precision of the maps, JAX's standard rules, and the CPU for what is not in a jit."""
+    with ExitStack() as scopes:
+        scopes.enter_context(lie.own_precision(graph))
+        scopes.enter_context(jax.default_device(host_device()))
+        scopes.enter_context(jax.numpy_dtype_promotion("standard"))
+        scopes.enter_context(jax.numpy_rank_promotion("allow"))
+        scopes.enter_context(jax.debug_nans(False))  # NaN is how a solve says that it failed
+        yield
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -113,7 +155,6 @@ def _merged(solver: str, graph: MultiRobotGraph, weights: Float[Array, " m"]) ->
         poses=jnp.sum(order.touched, dtype=jnp.int32),
         edges=jnp.sum(order.counted, dtype=jnp.int32),
         size=size,
-        block_dim=graph.tangent_dim,
     )
     measurement, information, weight = _edges(graph, weights, placing, counted)
     data = Data(
@@ -148,7 +189,7 @@ def _blanked(edges: Any, counted: Bool[Array, " e"]) -> Any:
 
 
 class _Order(NamedTuple):
-    """What counts comes first, in its order, so that padding in between changes nothing.
+    """An order with all that counts in front, so that padding in between changes nothing.
 
     Attributes:
         counted: `[e]`, the edges that count, in the order given.

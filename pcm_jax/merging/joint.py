@@ -102,7 +102,7 @@ def solve_joint(
     own = np.ones(roomy.num_edges - len(used), bool)
     kept = np.concatenate([own, used])
     joint = roomy if used.all() else roomy.with_edges(kept)
-    options = {"method": method, "engine": engine, "max_steps": PATIENCE}
+    options = {"solver": method, "engine": engine, "max_steps": PATIENCE}
     attempts = [_solve_in(roomy, kept, joint, options)]
     if not attempts[-1].converged:
         attempts.append(optimize(joint, initial="chordal", **options))
@@ -152,7 +152,7 @@ def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solut
         kept = joint.with_edges(edges).with_poses(solution.graph.poses)
         steps = AT_LAST if used == closures else ON_THE_WAY
         solution = optimize(
-            kept, initial="given", method="levenberg-marquardt", engine=engine, max_steps=steps
+            kept, initial="given", solver="levenberg-marquardt", engine=engine, max_steps=steps
         )
         iterations += solution.iterations
         if used == closures:

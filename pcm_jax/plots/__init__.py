@@ -1,10 +1,10 @@
 """Every picture the package draws; the only importers of matplotlib. Needs the `plot` extra.
 
-maps           trajectories, closures by what became of them, several merges side by side
-_consistency   squared distances, the consistency graph, the gate
-_methods       precision and recall, sweeps of thresholds, times, set sizes
-_tables        a comparison table as a picture
-style          colours, lines and figures that all of these share
+    maps           trajectories, closures by what became of them, several merges side by side
+    _consistency   squared distances, the consistency graph, the gate
+    _methods       precision and recall, sweeps of thresholds, times, set sizes
+    _tables        a comparison table as a picture
+    style          colours, lines and figures that all of these share
 
 Each function draws into the matplotlib axes given as `ax`, or makes a figure of its own, and
 returns the axes; saving and showing are left to the caller.

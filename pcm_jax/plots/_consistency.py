@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax.errors import InputError
+from pcm_jax.graph.checked import as_mask
 from pcm_jax.plots import style
 from pcm_jax.plots.style import axes_or_new, legend_below
 
@@ -96,10 +97,10 @@ def plot_consistency_graph(
     count = len(adjacency)
     if adjacency.shape != (count, count):
         raise InputError(f"graph: shape {adjacency.shape} given, expected [m, m]")
-    true = None if is_true is None else _checked_mask("is_true", is_true, count)
+    true = None if is_true is None else as_mask(is_true, "is_true", count)
     inside = np.zeros(count, bool)
     if members is not None:
-        inside = _checked_mask("members", members, count)
+        inside = as_mask(members, "members", count)
     ax = axes_or_new(ax, (5.8, 5.8))
     places = np.empty((count, 2))
     places[~inside] = _circle(count - inside.sum())
@@ -141,7 +142,7 @@ def plot_gate(
         InputError: `squared` is not square, the gate is not above 0, or a mask of another length.
     """
     values = _checked_distances(squared, gate)
-    true = None if is_true is None else _checked_mask("is_true", is_true, len(values))
+    true = None if is_true is None else as_mask(is_true, "is_true", len(values))
     u, v = np.triu_indices(len(values), 1)
     pairs = np.maximum(np.maximum(values[u, v], values[v, u]), np.finfo(float).tiny)
     if true is None:
@@ -174,14 +175,8 @@ def _checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
     return values
 
 
-def _checked_mask(argument: str, mask: Any, count: int) -> Bool[np.ndarray, " m"]:
-    if np.shape(mask) != (count,):
-        raise InputError(f"{argument}: shape {np.shape(mask)} given, expected ({count},)")
-    return np.asarray(mask, dtype=bool)
-
-
 def _draw_chi2(ax: Any, edges: Float[np.ndarray, " e"], dof: int, percent: float) -> None:
-    """What chi-squared expects in a bin centred at each place, of so many percent in all."""
+    """Draws what chi-squared expects in a bin centred at each place, of so many percent in all."""
     from scipy.special import gammainc
 
     at = np.linspace(edges[0], edges[-1], 400)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pcm_jax.evaluation.tables import Best, Columns, tabulate
 from pcm_jax.plots.style import BLACK, axes_or_new
+from pcm_jax.tables import Best, Columns, tabulate
 
 # Inches: of a character at the size of _POINTS, of a row, and around everything.
 _CHARACTER, _ROW, _MARGIN = 0.085, 0.29, 0.15
@@ -65,7 +65,7 @@ def plot_comparison_table(
 
 
 def _places(widths: Sequence[float], numeric: Sequence[bool]) -> list[tuple[float, str]]:
-    """Where each column's texts end, numbers at its right, or begin, at its left."""
+    """Places where each column's texts end, numbers at its right, or begin, at its left."""
     right = np.cumsum(widths)
     return [
         (end - 0.5 * _GAP, "right") if number else (end - width + 0.5 * _GAP, "left")

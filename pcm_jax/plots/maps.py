@@ -11,7 +11,8 @@ from jaxtyping import Bool
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
-from pcm_jax.evaluation.metrics import aligned, on_host
+from pcm_jax.evaluation.metrics import aligned, host_poses
+from pcm_jax.graph.checked import as_mask
 from pcm_jax.plots import style
 from pcm_jax.plots.style import LineStyle, axes_or_new, legend_below
 
@@ -52,7 +53,7 @@ def plot_trajectories_with_closures(
         InputError: masks of another length than the closures, or an axis that maps do not have.
     """
     ax = axes_or_new(ax)
-    places = [_projected(lie.translation(on_host(poses)), projection) for poses in maps]
+    places = [_projected(lie.translation(host_poses(poses)), projection) for poses in maps]
     for k, (path, name) in enumerate(zip(places, names or _names(maps), strict=True)):
         ax.plot(*path.T, label=f"robot {name}", **style.robot_style(k, len(places)))
     if closures is not None:
@@ -118,24 +119,18 @@ def plot_comparison(
         )
         ax.set_title(title, fontsize="x-large", fontweight="bold")
         ax.set_xlabel("\n".join([ax.get_xlabel(), *_counts(accepted, is_true)]), linespacing=1.4)
-    _same_view(chosen, [lie.translation(on_host(poses)) for poses in reference])
+    _same_view(chosen, [lie.translation(host_poses(poses)) for poses in reference])
     _shared_legend(chosen)
     return chosen
 
 
 def closure_kinds(count: int, accepted: Mask | None, is_true: Mask | None) -> dict[LineStyle, Mask]:
-    """Which closures are drawn in which way; kinds without any are left out."""
-    masks = {"accepted": accepted, "is_true": is_true}
-    for argument, mask in masks.items():
-        if mask is not None and np.shape(mask) != (count,):
-            raise InputError(
-                f"{argument}: shape {np.shape(mask)} given, expected ({count},), one per closure"
-            )
-    kept = np.ones(count, bool) if accepted is None else np.asarray(accepted, dtype=bool)
+    """Sorts closures by the way in which they are drawn; kinds without any are left out."""
+    kept = np.ones(count, bool) if accepted is None else as_mask(accepted, "accepted", count)
     if is_true is None:
         kinds = {style.REJECTED: ~kept, style.ACCEPTED: kept}
     else:
-        true = np.asarray(is_true, dtype=bool)
+        true = as_mask(is_true, "is_true", count)
         kinds = {
             style.REJECTED_FALSE: ~kept & ~true,
             style.ACCEPTED_FALSE: kept & ~true,
@@ -195,7 +190,7 @@ def _new_panels(count: int) -> list[Any]:
 
 
 def _counts(accepted: Mask | None, is_true: Mask | None) -> list[str]:
-    """What was accepted, in one line or two."""
+    """Says what was accepted, in one line or two."""
     if accepted is None:
         return []
     kept = np.asarray(accepted, dtype=bool)

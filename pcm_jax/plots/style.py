@@ -29,7 +29,7 @@ DPI = 150
 
 
 class LineStyle(NamedTuple):
-    """How the closures of one kind are drawn."""
+    """The line by which closures of one kind are drawn."""
 
     label: str
     color: str

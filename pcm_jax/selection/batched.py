@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from pcm_jax.arrays import standard_rules
 from pcm_jax.errors import InputError
 from pcm_jax.selection.method import SelectionMethod
 from pcm_jax.selection.methods import METHODS
@@ -26,6 +27,7 @@ KERNELS = tuple(name for name, method in METHODS.items() if method.kernel is not
 """The methods that have a kernel, by name."""
 
 
+@standard_rules()
 def select_batched(
     squared: Float[Array, "*batch m m"],
     gate: Any,

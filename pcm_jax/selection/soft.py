@@ -20,6 +20,23 @@ NP-hard; the last start, exact and with no derivative of its own, is a fixed poi
 
 with T = τ / γ². As τ → 0 only the starts that found the most remain: PCM's own answer where the
 maximum is unique, and a mean over the maxima where it is not.
+
+**From PyTorch**, by DLPack, without a copy; any other function likewise:
+
+```python
+import torch
+
+class SoftSelect(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, squared):
+        run = lambda q: pcm.soft_select(q, gate, temperature=1.0)
+        weights, ctx.back = jax.vjp(run, jax.dlpack.from_dlpack(squared.detach().contiguous()))
+        return torch.from_dlpack(weights)
+
+    @staticmethod
+    def backward(ctx, slope):
+        return torch.from_dlpack(ctx.back(jax.dlpack.from_dlpack(slope.contiguous()))[0])
+```
 """
 
 from __future__ import annotations

@@ -1,13 +1,23 @@
 """Worlds with known truth: the paper's one-dimensional one, a city, and sessions in 3D.
 
-These run on the host in NumPy, and are reproducible: one `numpy.random.default_rng(seed)` draws all
-of it. `simulate_chains` is a kernel: worlds by the thousand inside a compiled program.
+    _one_dimensional  the paper's world of measurements on a line, thousands at once
+    _streets          drives along the streets of a grid, in NumPy
+    measurements      noisy relative poses, and who meets whom
+    outliers          false closures: aliased groups and random ones
+    world             maps, closures and labels put together; clutter for maps of one's own
+    _city             robots in one city, SE(2)
+    _sessions         drives over one campus, SE(3)
+    _town             drives through a town as a kernel
+    _chains           two odometry chains and their closures as a kernel, worlds by the thousand
+
+But for the kernels all of it runs on the host in NumPy, and is reproducible: one
+`numpy.random.default_rng(seed)` draws everything.
 """
 
-from pcm_jax.simulation.chains import ChainWorld, simulate_chains
-from pcm_jax.simulation.city import simulate_city
-from pcm_jax.simulation.one_dimensional import OneDimensionalWorlds, simulate_one_dimensional
-from pcm_jax.simulation.sessions import simulate_sessions
+from pcm_jax.simulation._chains import ChainWorld, simulate_chains
+from pcm_jax.simulation._city import simulate_city
+from pcm_jax.simulation._one_dimensional import OneDimensionalWorlds, simulate_one_dimensional
+from pcm_jax.simulation._sessions import simulate_sessions
 from pcm_jax.simulation.world import SimulatedWorld, add_clutter
 
 __all__ = [

@@ -35,7 +35,7 @@ def town_drive(chance: Float[Array, "c w"], group: Any, poses: int, blocks: int 
 
 
 def crossings_left(poses: int) -> int:
-    """How many a robot leaves."""
+    """The number of crossings that a robot leaves."""
     return -(-(poses - 1) // _BLOCK)
 
 

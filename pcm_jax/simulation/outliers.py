@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 
 import jaxlie
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import namespace
 from pcm_jax.errors import InputError
 from pcm_jax.simulation.measurements import measure, space_dim
 
@@ -27,6 +28,8 @@ RANDOM_LABEL = -1
 # Places that are mistaken for each other lie at least this fraction of the maps' diagonal apart.
 ALIAS_SEPARATION = 0.25
 ALIAS_DRAWS = 64
+
+_Indices = Int[np.ndarray, " n"] | Int[Array, " n"]
 
 
 class Candidates(NamedTuple):
@@ -106,7 +109,11 @@ def aliased_closures(
     """
     from scipy.spatial import KDTree
 
-    moved = lie.compose(_wrong_alignment(generator, truth_a, truth_b, reach), truth_b)
+    i, k = (
+        generator.integers(len(lie.translation(t)), size=ALIAS_DRAWS) for t in (truth_a, truth_b)
+    )
+    shift = generator.uniform(-reach, reach, size=space_dim(lie.group_of(truth_a)))
+    moved = lie.compose(wrong_alignment((i, k), shift, truth_a, truth_b), truth_b)
     distance, nearest = map(
         np.asarray, KDTree(lie.translation(moved)).query(lie.translation(truth_a))
     )
@@ -123,30 +130,45 @@ def aliased_closures(
     return Candidates(pose_a, pose_b, measurement, np.full(size, label))
 
 
-def _wrong_alignment(
-    generator: np.random.Generator, truth_a: Any, truth_b: Any, reach: float
+def wrong_alignment(
+    draws: tuple[_Indices, _Indices],
+    shift: Float[np.ndarray, " s"] | Float[Array, " s"],
+    path_a: Any,
+    path_b: Any,
 ) -> Any:
-    """W = P_i s P_k⁻¹ carries the surroundings of a random pose k of b to a pose i of a far away.
+    """W = P_i s P_k⁻¹, which carries the surroundings of a pose k of b to a pose i of a far away.
 
-    The shift s, of up to `reach` along every axis, keeps W off the grid of streets, where two
-    independent draws could coincide.
+    Safe under jit and vmap.
+
+    Args:
+        draws: random poses of a, and of b, `ALIAS_DRAWS` each: the first two that are far enough
+            apart are taken, or those that are farthest apart.
+        shift: s, random along every axis, m. It keeps W off the grid of streets, where two
+            independent draws could coincide.
+        path_a: poses of robot a, Lie `[n]`.
+        path_b: poses of robot b.
     """
-    i = generator.integers(len(lie.translation(truth_a)), size=ALIAS_DRAWS)
-    k = generator.integers(len(lie.translation(truth_b)), size=ALIAS_DRAWS)
-    apart = np.linalg.norm(lie.translation(truth_a)[i] - lie.translation(truth_b)[k], axis=1)
-    low, high = _bounding_box(truth_a, truth_b)
-    far = apart >= ALIAS_SEPARATION * np.linalg.norm(high - low)
-    drawn = np.argmax(far) if far.any() else np.argmax(apart)
-    group = lie.group_of(truth_a)
-    tangent: Any = np.zeros(lie.tangent_dim(group))
-    tangent[: space_dim(group)] = generator.uniform(-reach, reach, size=space_dim(group))
-    shifted = lie.compose(lie.take(truth_a, i[drawn]), lie.exp(group, tangent))
-    return lie.compose(shifted, lie.inverse(lie.take(truth_b, k[drawn])))
+    (i, k), group = draws, lie.group_of(path_a)
+    xp = namespace(shift, lie.translation(path_a))
+    apart = squared_lengths(lie.translation(path_a)[i] - lie.translation(path_b)[k])
+    low, high = bounding_box(path_a, path_b)
+    far = apart >= ALIAS_SEPARATION**2 * squared_lengths(high - low)
+    drawn = xp.argmax(xp.where(far.any(), far, apart))
+    tangent = xp.concatenate([shift, xp.zeros(lie.tangent_dim(group) - len(shift))])
+    shifted = lie.compose(lie.take(path_a, i[drawn]), lie.exp(group, tangent))
+    return lie.compose(shifted, lie.inverse(lie.take(path_b, k[drawn])))
 
 
-def _bounding_box(truth_a: Any, truth_b: Any) -> tuple[np.ndarray, np.ndarray]:
-    places = np.concatenate([lie.translation(truth_a), lie.translation(truth_b)])
-    return places.min(axis=0), places.max(axis=0)
+def bounding_box(path_a: Any, path_b: Any) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
+    """The lowest and the highest corner of the box around both paths, m."""
+    places = [lie.translation(path_a), lie.translation(path_b)]
+    both = namespace(*places).concatenate(places)
+    return both.min(axis=0), both.max(axis=0)
+
+
+def squared_lengths(vectors: Float[Array, "*batch s"]) -> Float[Array, "*batch"]:
+    """Squared lengths along the last axis."""
+    return (vectors**2).sum(axis=-1)
 
 
 def random_closures(
@@ -171,7 +193,7 @@ def random_closures(
     group, space = lie.group_of(truth_a), space_dim(lie.group_of(truth_a))
     rotation = _on_sphere(generator, count, lie.module_of(group).PARAMETERS_DIM - space)
     if largest_range is None:
-        place = generator.uniform(*_bounding_box(truth_a, truth_b), size=(count, space))
+        place = generator.uniform(*bounding_box(truth_a, truth_b), size=(count, space))
         stands = group(np.concatenate([rotation, place], axis=1))
         measurement = lie.between(lie.take(truth_a, pose_a), stands)
     else:

@@ -1,4 +1,4 @@
-"""What a simulation returns, and how clutter is added to maps whose truth is known."""
+"""The result of a simulation, and clutter for maps whose truth is known."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def add_clutter(
         labels += [np.zeros(len(genuine), np.int64), false.labels]
     label = np.concatenate(labels)
     order = generator.permutation(len(label))
-    cluttered = MultiRobotGraph(graph.maps, _concatenate(parts)[order])
+    cluttered = MultiRobotGraph(graph.maps, LoopClosures.concatenate(parts)[order])
     return SimulatedWorld(cluttered, label[order] == 0, label[order], truth)
 
 
@@ -178,7 +178,7 @@ def true_closures(
         measurement = measure(generator, exact, covariance)
         information = np.broadcast_to(np.linalg.inv(covariance), (count, *covariance.shape))
         parts.append(_closures((a, b), (pose_a, pose_b), measurement, information))
-    return _concatenate(parts)
+    return LoopClosures.concatenate(parts)
 
 
 def noisy_map(
@@ -240,16 +240,6 @@ def _closures(
         pose_b=poses[1],
         measurement=measurement,
         information=information,
-    )
-
-
-def _concatenate(parts: Sequence[LoopClosures]) -> LoopClosures:
-    ends = ("robot_a", "pose_a", "robot_b", "pose_b")
-    return LoopClosures.from_checked(
-        tuple(np.concatenate([np.asarray(getattr(part, end)) for part in parts]) for end in ends),
-        lie.concatenate([lie.as_numpy(part.measurement) for part in parts]),
-        np.concatenate([np.asarray(part.information) for part in parts]),
-        np.concatenate([part.source for part in parts]),
     )
 
 

@@ -1,4 +1,4 @@
-"""Which fronts a block Cholesky factorisation has: the part that depends on the pattern alone.
+"""The fronts of a block Cholesky factorisation: the part that depends on the pattern alone.
 
 The information matrix `H` of a pose graph has one `d x d` block per pose and per pair of poses
 that an edge joins. Its factor is found front by front, leaves of a tree first (Duff and Reid 1983;
@@ -125,7 +125,7 @@ def _eliminate(size: int, tail: np.ndarray, head: np.ndarray) -> tuple[np.ndarra
 
 
 def _worth_merging(pivots: int, total: int, zeros: int) -> bool:
-    """Whether a merged front with so many pivots may hold `zeros` explicit zeros among `total`."""
+    """True if a merged front with so many pivots may hold `zeros` explicit zeros among `total`."""
     if pivots <= 4:
         return True
     return zeros < total * (0.5 if pivots <= 8 else 0.25 if pivots <= 16 else 0.1)

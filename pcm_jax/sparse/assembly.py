@@ -1,4 +1,4 @@
-"""Where each block of `H` and of the update matrices is added: the plan of the numeric part.
+"""The plan of the numeric part: where each block of `H` and of the update matrices is added.
 
 Fronts of equal height and equal padded shape form a group, and the numeric part treats a group as
 one batched array operation; the few large fronts form groups of their own. All numbers to be
@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from pcm_jax.sparse import registry
 from pcm_jax.sparse._symbolic import FrontTree, front_tree, ragged_arange
-from pcm_jax.sparse.pattern_cache import PatternCache
 
 PADDED_PIVOTS = np.array([1, 2, 3, 4, 6, 8, 12, 16])
 PADDED_RESTS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 20, 24])
 SCALARS_AT_ONCE = 1 << 18
-"""Of the fronts of a group together, unless one is larger: what a processor's cache holds."""
+"""All fronts of a group, unless one is larger: as much as a processor's cache holds."""
 
 
 class FrontGroup(NamedTuple):
@@ -97,10 +97,6 @@ class CholeskyPlan:
         return self.tree.position
 
 
-_trees: PatternCache[FrontTree] = PatternCache()
-_plans: PatternCache[CholeskyPlan] = PatternCache()
-
-
 def plan_for(
     size: int,
     tail: Int[np.ndarray, " e"],
@@ -120,9 +116,9 @@ def plan_for(
         return front_tree(size, tail, head)
 
     def make_plan() -> CholeskyPlan:
-        return _make_plan(_trees.get(make_tree, size, tail, head), tail, head, block_dim)
+        return _make_plan(registry.trees.get(make_tree, size, tail, head), tail, head, block_dim)
 
-    return _plans.get(make_plan, size, block_dim, tail, head)
+    return registry.plans.get(make_plan, size, block_dim, tail, head)
 
 
 class _Shapes(NamedTuple):
@@ -166,7 +162,7 @@ def _labelled(*keys: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _places(size: np.ndarray, needed_by: np.ndarray) -> np.ndarray:
-    """Where groups keep their update matrices: each in the first gap that is large enough.
+    """Places for the update matrices of groups: each in the first gap that is large enough.
 
     Args:
         size: `[g]` of each group.
@@ -339,10 +335,10 @@ def _gather(shapes: _Shapes, terms: _Terms, count: int, width: int, chunks: int,
 
 
 def _ones(count: int) -> np.ndarray:
-    """Ones, in memory that the gathers of all plans share."""
+    """Ones, in memory that the gathers of all plans share: twice the largest at most."""
     return _ones_of(count.bit_length())[:count]
 
 
-@functools.cache
+@functools.lru_cache(maxsize=64)
 def _ones_of(bits: int) -> np.ndarray:
     return np.ones(1 << bits)

@@ -2,8 +2,7 @@
 
 Per group and call: one sparse product sums the fronts, then batched `A = L Lᵀ`, `X = B L⁻ᵀ`,
 `U = C − X Xᵀ`. Inverses of the small triangles L are kept, so that everything else, the solves
-included, is matrix products. BLAS runs on one thread except in large fronts: threading products
-of tiny matrices costs an order of magnitude.
+included, is matrix products. BLAS runs on one thread except in large fronts (`_blas`).
 
 Runs on the host, once per outer step of the optimiser; what depends only on the pattern was done
 before (`assembly.plan_for`).
@@ -12,15 +11,13 @@ before (`assembly.plan_for`).
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from pcm_jax.sparse import registry
 from pcm_jax.sparse.assembly import CholeskyPlan, FrontGroup
 
 LARGE_PIVOTS = 96
@@ -33,46 +30,6 @@ LARGE_FRONT = 2048
 """Scalars: fronts of this size gain from BLAS threads even where other work holds some cores."""
 
 Triangles = Float[np.ndarray, "b p p"]
-
-
-@functools.cache
-def _thread_pools() -> Any:
-    import scipy.linalg  # noqa: F401  (loads SciPy's own BLAS, so that it is found)
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController().select(user_api="blas")
-
-
-def blas_threads() -> int:
-    """How many threads BLAS may use now: the user's setting."""
-    return max((pool.num_threads for pool in _thread_pools().lib_controllers), default=1)
-
-
-def limited_to(threads: int) -> AbstractContextManager:
-    """A scope in which BLAS uses so many threads; the setting before is restored after it."""
-    return _thread_pools().limit(limits=threads)
-
-
-_spare: list[np.ndarray] = []
-
-
-@contextmanager
-def spare_memory(scalars: int) -> Iterator[Float[np.ndarray, " s"]]:
-    """Memory for one factorisation after another, until `free_spare_memory`.
-
-    JAX calls back from one thread and another, and memory that one has freed is not for the others:
-    without this a solve takes several times what its factor takes.
-    """
-    memory = _spare.pop() if _spare else np.empty(0)
-    if len(memory) < scalars:
-        memory = np.empty(scalars)
-    yield memory[:scalars]
-    _spare[:] = [memory]
-
-
-def free_spare_memory() -> None:
-    """Gives back what `spare_memory` keeps."""
-    _spare.clear()
 
 
 class NotPositiveDefiniteError(np.linalg.LinAlgError):
@@ -100,7 +57,7 @@ class CholeskyFactor:
         ordered = np.zeros((plan.size + 1, d, vectors.shape[2]))
         ordered[plan.position] = vectors
         rows = ordered.reshape(-1, vectors.shape[2])
-        with limited_to(1):
+        with registry.blas.one():
             self._backward(rows, self._forward(rows))
         return ordered[plan.position].reshape(right.shape)
 
@@ -152,11 +109,10 @@ def factorize(
     pool[d : d * (1 + len(blocks))] = blocks.reshape(-1, d)
     kept = np.empty(plan.scalars - scalars) if memory is None else memory[scalars:]
     factor = CholeskyFactor(plan, *_laid_out(plan, kept))
-    threads = blas_threads()
     try:
-        with limited_to(1):
+        with registry.blas.one():
             for group, *found in factor.fronts():
-                _factorize_group(group, pool, threads, *found)
+                _factorize_group(group, pool, *found)
     except np.linalg.LinAlgError as error:
         raise NotPositiveDefiniteError(str(error)) from error
     return factor
@@ -181,7 +137,6 @@ def _laid_out(
 def _factorize_group(
     group: FrontGroup,
     pool: np.ndarray,
-    threads: int,
     inverse: Float[np.ndarray, "b p p"],
     coupling: Float[np.ndarray, "b r p"],
 ) -> None:
@@ -191,7 +146,7 @@ def _factorize_group(
     stored = pool[group.update : group.update + group.count * rest * rest // pool.shape[1]]
     updates = stored.reshape(group.count, rest, rest)
     if pivots > LARGE_PIVOTS or pivots + rest > LARGE_FRONT:
-        with limited_to(threads if pivots + rest > LARGE_FRONT else 1):
+        with registry.blas.many(pivots + rest > LARGE_FRONT):
             _invert_large(fronts[:, :pivots, :pivots], inverse)
             _couple(fronts, inverse, coupling, updates)
         return

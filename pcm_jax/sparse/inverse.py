@@ -24,13 +24,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from pcm_jax.sparse import registry
 from pcm_jax.sparse._symbolic import FrontTree
-from pcm_jax.sparse.cholesky import CholeskyFactor, blas_threads, limited_to
+from pcm_jax.sparse.cholesky import CholeskyFactor
 
 LARGE_COLUMNS = 1536
 """Columns (scalars) from which BLAS threads gain even where other work holds some cores."""
 POSES_AT_ONCE = 512
-"""Of `inverse_diagonal`, which bounds its memory."""
+"""A bound on the memory of `inverse_diagonal`."""
 
 
 class _Passed(NamedTuple):
@@ -56,9 +57,10 @@ def inverse_block(
     d, by_position = factor.plan.block_dim, np.argsort(factor.plan.position[poses])
     total = np.zeros((len(poses) * d, len(poses) * d))
     right = _identities(len(poses), d) if right is None else right
-    for solved in _forward(factor, poses[by_position], right[by_position]):
-        part = slice(solved.low * d, solved.high * d)
-        total[part, part] += solved.rows.T @ solved.rows
+    with registry.blas.one():
+        for solved in _forward(factor, poses[by_position], right[by_position]):
+            part = slice(solved.low * d, solved.high * d)
+            total[part, part] += solved.rows.T @ solved.rows
     given = np.argsort(by_position)
     blocks = total.reshape(len(poses), d, len(poses), d)
     return blocks[given][:, :, given].reshape(total.shape)
@@ -73,11 +75,12 @@ def inverse_diagonal(
     right = _identities(len(poses), factor.plan.block_dim) if right is None else right
     d, by_position = factor.plan.block_dim, np.argsort(factor.plan.position[poses])
     total = np.zeros((len(poses), d, d))
-    for start in range(0, len(poses), POSES_AT_ONCE):
-        some = by_position[start : start + POSES_AT_ONCE]
-        for solved in _forward(factor, poses[some], right[some]):
-            columns = solved.rows.reshape(len(solved.rows), -1, d).transpose(1, 2, 0)
-            total[some[solved.low : solved.high]] += columns @ columns.transpose(0, 2, 1)
+    with registry.blas.one():
+        for start in range(0, len(poses), POSES_AT_ONCE):
+            some = by_position[start : start + POSES_AT_ONCE]
+            for solved in _forward(factor, poses[some], right[some]):
+                columns = solved.rows.reshape(len(solved.rows), -1, d).transpose(1, 2, 0)
+                total[some[solved.low : solved.high]] += columns @ columns.transpose(0, 2, 1)
     return total
 
 
@@ -97,11 +100,12 @@ def inverse_columns(
     tree, d = factor.plan.tree, factor.plan.block_dim
     by_position = np.argsort(factor.plan.position[poses])
     solution = np.zeros((tree.size, d, d, len(poses)))
-    for solved in _forward(factor, poses[by_position], right[by_position]):
-        own = slice(tree.first[solved.front], tree.first[solved.front] + tree.pivots[solved.front])
-        blocks = solved.rows.reshape(-1, d, solved.high - solved.low, d)
-        solution[own][..., by_position[solved.low : solved.high]] = blocks.swapaxes(2, 3)
-    with limited_to(1):
+    with registry.blas.one():
+        for solved in _forward(factor, poses[by_position], right[by_position]):
+            first = tree.first[solved.front]
+            own = slice(first, first + tree.pivots[solved.front])
+            blocks = solved.rows.reshape(-1, d, solved.high - solved.low, d)
+            solution[own][..., by_position[solved.low : solved.high]] = blocks.swapaxes(2, 3)
         _backward(factor, solution.reshape(tree.size, d, -1))
     return solution
 
@@ -137,7 +141,8 @@ def _forward(
 ) -> Iterator[_Solved]:
     """W of `E R`, front by front from the leaves up; `poses` in elimination order.
 
-    What the caller does with a front's rows runs with as many BLAS threads as suit them.
+    What the caller does with a front's rows runs with as many BLAS threads as suit them; the caller
+    is in `registry.blas.one` until the last front.
     """
     plan, tree, d = factor.plan, factor.plan.tree, factor.plan.block_dim
     wanted = plan.position[poses]
@@ -145,14 +150,13 @@ def _forward(
     middle = np.searchsorted(wanted, tree.first)
     high = np.searchsorted(wanted, tree.first + tree.pivots)
     passed: list[list[_Passed]] = [[] for _ in tree.first]
-    threads = blas_threads()
     for front in np.flatnonzero(high > low).tolist():
         gathered = _gathered(tree, front, passed[front], (low[front], high[front]), d)
         passed[front].clear()
         own = np.arange(middle[front], high[front])
         blocks = gathered.reshape(-1, d, high[front] - low[front], d)
         blocks[wanted[own] - tree.first[front], :, own - low[front]] = right[own]
-        with limited_to(threads if gathered.shape[1] > LARGE_COLUMNS else 1):
+        with registry.blas.many(gathered.shape[1] > LARGE_COLUMNS):
             solved, update = _eliminate(factor, front, gathered)
             yield _Solved(front, int(low[front]), int(high[front]), solved)
         if tree.parent[front] >= 0:

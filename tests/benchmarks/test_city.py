@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import city
-from benchmarks.experiments import city_report, readme_table
+from benchmarks.experiments import city_report, table_one
 from benchmarks.experiments.cities import (
     Law,
     city_of_file,
@@ -20,9 +20,9 @@ from benchmarks.experiments.cities import (
     weakened,
 )
 from benchmarks.experiments.command import run_tasks
-from benchmarks.experiments.record import Steps
 from pcm_jax import InputError, MultiRobotGraph, lie, merge, select
 from pcm_jax.evaluation.metrics import ate_rmse
+from pcm_jax.store import Store, digest
 
 CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
 
@@ -114,7 +114,7 @@ def test_processes_give_what_one_does(tmp_path):
     few = city.Comparison({name: city.ROWS["all"][name] for name in ("ransac-99", "pcm-exact-99")})
     tasks = {f"0-{k}": partial(city.run_version, source, few, 0, k) for k in range(2)}
     one, two = (
-        run_tasks("versions", tasks, Steps(tmp_path / str(jobs), (source, few), []), jobs=jobs)
+        run_tasks("versions", tasks, Store(tmp_path / str(jobs), digest(source, few)), jobs=jobs)
         for jobs in (1, 2)
     )
     for (name, row), (_, other) in zip(*map(rows_of, (one, two)), strict=True):
@@ -224,7 +224,7 @@ def test_a_portion_that_is_none(shared_data):
         city_of_file(*files, slice(20, 22), "as-written")
 
 
-def test_the_readme_has_the_committed_table():
-    text = readme_table.README.read_text()
-    assert readme_table.with_block(text, readme_table.MARKERS, readme_table.block()) == text
+def test_the_report_has_the_committed_table():
+    text = table_one.REPORT.read_text()
+    assert table_one.with_block(text, table_one.MARKERS, table_one.block()) == text
     assert "| PCM-Exact 99 %, calibrated |" in text

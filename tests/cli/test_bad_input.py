@@ -219,7 +219,7 @@ def test_bad_command_lines(fails, arguments):
 
 def test_a_missing_extra_is_named_before_anything_is_computed(fails, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    assert "pip install 'pcm-jax[plot]'" in fails("demo")
-    assert "pip install 'pcm-jax[plot]'" in fails(
+    assert "pip install '.[plot]'" in fails("demo")
+    assert "pip install '.[plot]'" in fails(
         *("merge", "a.g2o", "b.g2o", "--closures", "good.csv", "--plot", "merged.png")
     )

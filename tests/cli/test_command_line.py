@@ -10,7 +10,6 @@ import pytest
 import pcm_jax
 from pcm_jax.cli import _progress as progress
 from pcm_jax.cli import inspect, main
-from pcm_jax.cli._table import table
 from pcm_jax.files import read_graph
 
 
@@ -26,12 +25,6 @@ def test_help_answers_without_jax():
     code = "import sys; from pcm_jax.cli import main\ntry: main(['--help'])\n"
     code += "except SystemExit: sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-
-
-def test_table():
-    assert table(["name", "n"], [["x", 5], ["longer", 12.5]]) == (
-        "name       n\nx          5\nlonger  12.5"
-    )
 
 
 def test_inspect(run, city):

@@ -80,7 +80,7 @@ class KilledError(Exception):
 def test_resumes_after_a_kill(plane, tmp_path):
     dense, gate = dense_graph_and_gate(plane, share=0.3)
 
-    def kill(done, _):
+    def kill(stage, done, _):
         seen.append(done)
         if len(seen) == 2:
             raise KilledError

@@ -235,4 +235,4 @@ def test_the_folder_exports_every_metric():
         for name, value in vars(metrics).items()
         if not name.startswith("_") and getattr(value, "__module__", None) == metrics.__name__
     }
-    assert public - {"on_host"} <= set(evaluation.__all__)
+    assert public - {"host_poses"} <= set(evaluation.__all__)

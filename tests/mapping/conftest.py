@@ -37,7 +37,7 @@ def random_map(
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_map() -> Callable[..., PoseGraph]:
     """The function `random_map`."""
     return random_map

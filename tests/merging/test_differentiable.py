@@ -1,7 +1,12 @@
-"""The merged map's derivatives: against differences, in both modes, under every transformation."""
+"""The merged map's derivatives: against differences, in both modes, under every transformation.
+
+Programs that hold a merge and its derivatives take long to compile, so tests share them, and those
+that are compared with nothing else of their own kind are compiled without optimisation.
+"""
 
 import dataclasses
-import time
+import gc
+import weakref
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +21,8 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, s
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import merge_differentiable
 from pcm_jax.pipeline import merge
-
-GROUPS = [jaxlie.SE2, jaxlie.SE3]
+from pcm_jax.sparse import registry
+from pcm_jax.sparse.system import System
 
 
 def noisy(rng, exact, sigma):
@@ -87,40 +92,55 @@ def still(graph):
     return {name: jnp.zeros(shape) for name, shape in zip(INPUTS, shapes, strict=True)}
 
 
-def scaled(direction, by):
-    return jax.tree.map(lambda leaf: by * leaf, direction)
-
-
-def loss_of(graph, weights, seed=1):
-    """A function of all poses, every parameter of them, and of `still`'s perturbations."""
+def loss_of(graph, seed=1, poses=8):
+    """A function of the first poses, every parameter of them, and of `still`'s perturbations."""
     rng = np.random.default_rng(seed)
-    pulls = [jnp.asarray(rng.normal(size=lie.parameters(one.poses).shape)) for one in graph.maps]
+    width = lie.parameters(graph.maps[0].poses).shape[1]
+    pulls = [jnp.asarray(rng.normal(size=(poses, width))) for _ in graph.maps]
 
     def loss(theta):
-        merged = merge_differentiable(moved_graph(graph, theta), weights + theta["weight"])
-        return sum(jnp.vdot(c, lie.parameters(x)) for c, x in zip(pulls, merged, strict=True))
+        merged = merge_differentiable(moved_graph(graph, theta), theta["weight"])
+        values = [lie.parameters(each)[:poses] for each in merged]
+        return sum(jnp.vdot(c, x) for c, x in zip(pulls, values, strict=True)), values
 
     return loss
 
 
 def both_modes(loss):
-    """One program: the value, the derivative along `direction`, and the gradient."""
+    """One program: value, derivative along `direction`, gradient, and the poses."""
 
-    @jax.jit
+    @compiled_fast
     def run(theta, direction):
-        value, forward = jax.linearize(loss, theta)
+        value, forward, poses = jax.linearize(loss, theta, has_aux=True)
         (gradient,) = jax.linear_transpose(forward, theta)(jnp.ones(()))
-        return value, forward(direction), gradient
+        return value, forward(direction), gradient, poses
 
     return run
 
 
-@pytest.fixture(scope="module", params=GROUPS, ids=["SE2", "SE3"])
+def compiled_fast(function):
+    """`jax.jit` with the least work of LLVM's, which is most of a compilation."""
+    return jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})
+
+
+WEIGHTS = jnp.asarray([1.0, 0.4, 0.7, 0.0, 0.9])
+
+
+@pytest.fixture(scope="module", params=["SE2", "SE3"])
 def case(request):
-    """A graph, weights with one closure switched off, the loss in both modes."""
-    graph = small_world(request.param)
-    weights = jnp.asarray([1.0, 0.4, 0.7, 0.0, 0.9])
-    return graph, weights, both_modes(loss_of(graph, weights))
+    """A graph and its loss in both modes; `WEIGHTS` have one closure switched off."""
+    if request.param == "SE2":
+        return request.getfixturevalue("three"), request.getfixturevalue("run_three")
+    graph = small_world(jaxlie.SE3)
+    return graph, both_modes(loss_of(graph))
+
+
+def weighted(graph, weights):
+    return still(graph) | {"weight": jnp.asarray(weights)}
+
+
+def moved(at, direction, by):
+    return jax.tree.map(lambda leaf, along: leaf + by * along, at, direction)
 
 
 def direction_in(graph, weights, name, seed=2):
@@ -136,13 +156,13 @@ def direction_in(graph, weights, name, seed=2):
 
 @pytest.mark.parametrize("name", INPUTS)
 def test_derivatives_are_those_of_differences(case, name):
-    graph, weights, run = case
-    at, direction = still(graph), direction_in(graph, weights, name)
-    _, forward, gradient = run(at, direction)
+    graph, run = case
+    at, direction = weighted(graph, WEIGHTS), direction_in(graph, WEIGHTS, name)
+    _, forward, gradient, _ = run(at, direction)
     reverse = float(jnp.vdot(gradient[name], direction[name]))
 
     def slope(h):
-        ahead, behind = (run(scaled(direction, by), at)[0] for by in (h, -h))
+        ahead, behind = (run(moved(at, direction, by), at)[0] for by in (h, -h))
         return float(ahead - behind) / (2 * h)
 
     h = 5e-3
@@ -153,10 +173,10 @@ def test_derivatives_are_those_of_differences(case, name):
 
 def test_slope_at_weight_zero(case):
     """From above: what switching closure 3 on would do."""
-    graph, _, run = case
-    at, unit = still(graph), still(graph) | {"weight": jnp.zeros(5).at[3].set(1.0)}
+    graph, run = case
+    at, unit = weighted(graph, WEIGHTS), weighted(graph, jnp.zeros(5).at[3].set(1.0))
     h = 3e-4
-    values = [float(run(scaled(unit, k * h), at)[0]) for k in range(5)]
+    values = [float(run(moved(at, unit, k * h), at)[0]) for k in range(5)]
     one_sided = np.dot([-25.0, 48.0, -36.0, 16.0, -3.0], values) / (12.0 * h)
     slope = run(at, at)[2]["weight"][3]
     assert abs(slope) > 1e-3
@@ -182,12 +202,8 @@ def three():
 
 @pytest.fixture(scope="module")
 def run_three(three):
-    """Both modes for it; the weights are `still`'s."""
-    return both_modes(loss_of(three, jnp.zeros(5)))
-
-
-def weighted(graph, weights):
-    return still(graph) | {"weight": jnp.asarray(weights)}
+    """Both modes for it."""
+    return both_modes(loss_of(three))
 
 
 @pytest.mark.parametrize("off", [(), (3,), (2, 3, 4), (0, 1, 2, 3, 4)])
@@ -203,7 +219,7 @@ def test_weights_of_zero_and_one_are_a_merge(three, off):
 
 def test_between_groups_the_slope_is_zero(three, run_three):
     at = weighted(three, [1.0, 1.0, 0.0, 0.0, 0.0])
-    _, _, gradient = run_three(at, at)
+    _, _, gradient, _ = run_three(at, at)
     assert np.abs(gradient["weight"][:2]).min() > 1e-3
     np.testing.assert_array_equal(gradient["weight"][2:], 0.0)
     np.testing.assert_array_equal(gradient["closure"][2:], 0.0)
@@ -218,49 +234,100 @@ def test_the_groups_first_pose_stays(three):
 # Transformations
 
 
-def test_one_bad_sample_in_a_batch(three):
-    """Numbers of the others stay the same bit for bit; nothing flows back from the bad ones."""
-
-    def masked_loss(weights, information):
-        closures = dataclasses.replace(three.closures, information=information)
-        values = lie.parameters(
-            merge_differentiable(MultiRobotGraph(three.maps, closures), weights)[1]
-        )
-        total = jnp.sum(values**2)
-        return jnp.where(jnp.isfinite(total), total, 0.0), values
-
-    run = jax.jit(jax.vmap(jax.value_and_grad(masked_loss, argnums=(0, 1), has_aux=True)))
-    weights = np.random.default_rng(4).uniform(0.2, 1.0, (4, 5))
-    information = np.stack([np.asarray(three.closures.information)] * 4)
-    (_, expected), wanted = run(weights, information)
-    weights[2, 1] = np.nan
-    information[1, 0] = -np.eye(3)
-    (losses, found), gradients = run(weights, information)
-    np.testing.assert_array_equal(found[np.array([0, 3])], expected[np.array([0, 3])])
-    assert np.isnan(found[np.array([1, 2])]).all()
-    np.testing.assert_array_equal(losses[np.array([1, 2])], 0.0)
-    for gradient, want in zip(gradients, wanted, strict=True):
-        np.testing.assert_array_equal(gradient[np.array([1, 2])], 0.0)
-        np.testing.assert_array_equal(gradient[np.array([0, 3])], want[np.array([0, 3])])
-        assert np.abs(want).max() > 1e-6
-    alone = parameters_of(merge_differentiable(three, weights[0]))[1]
-    np.testing.assert_allclose(found[0], alone, rtol=0, atol=1e-12)
-
-
-def test_structure_may_differ_within_a_batch(three):
-    """Other ends, and another size: each gives what it gives alone."""
+@pytest.fixture(scope="module")
+def batch(three):
+    """Four padded worlds, the second of another structure and size, and their masked losses."""
     other = small_world(jaxlie.SE2, 7, robots=3, poses=9, rows=ROWS[1:])
     sizes = {"poses": 9, "edges": 11, "closures": 5}
-    padded = [pad_graph(world, **sizes) for world in (three, other)]
+    padded = [pad_graph(world, **sizes) for world in (three, other, three, three)]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
-    merged = jax.vmap(lambda g: merge_differentiable(g, jnp.ones(5)))(stacked)
+
+    def masked_loss(graph, weights, information):
+        closures = dataclasses.replace(graph.closures, information=information)
+        merged = merge_differentiable(MultiRobotGraph(graph.maps, closures), weights)
+        values = [lie.parameters(poses) for poses in merged]
+        total = jnp.sum(values[1] ** 2)
+        return jnp.where(jnp.isfinite(total), total, 0.0), values
+
+    run = jax.vmap(jax.value_and_grad(masked_loss, argnums=(1, 2), has_aux=True))
+    return stacked, compiled_fast(run), other
+
+
+def test_one_bad_sample_in_a_batch(three, batch):
+    """Numbers of the others stay the same bit for bit; nothing flows back from the bad ones."""
+    worlds, run, _ = batch
+    weights = np.random.default_rng(4).uniform(0.2, 1.0, (4, 5))
+    information = np.array(worlds.closures.information)
+    (_, expected), wanted = run(worlds, weights, information)
+    weights[2, 1] = np.nan
+    information[1, 0] = -np.eye(3)
+    (losses, found), gradients = run(worlds, weights, information)
+    good, bad = np.array([0, 3]), np.array([1, 2])
+    for values, right in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(values[good], right[good])
+        assert np.isnan(values[bad]).all()
+    np.testing.assert_array_equal(losses[bad], 0.0)
+    for gradient, want in zip(gradients, wanted, strict=True):
+        np.testing.assert_array_equal(gradient[bad], 0.0)
+        np.testing.assert_array_equal(gradient[good], want[good])
+        assert np.abs(want).max() > 1e-6
+    alone = parameters_of(merge_differentiable(three, weights[0]))[1]
+    np.testing.assert_allclose(found[1][0, : len(alone)], alone, rtol=0, atol=1e-12)
+
+
+def test_structure_may_differ_within_a_batch(three, batch):
+    """Other ends, and another size: each gives what it gives alone."""
+    worlds, run, other = batch
+    (_, merged), _ = run(worlds, np.ones((4, 5)), worlds.closures.information)
     for row, world in enumerate((three, other)):
         for found, own in zip(merged, merge_differentiable(world, np.ones(5 - row)), strict=True):
             values, kept = lie.parameters(own), world.maps[0].num_poses
-            np.testing.assert_allclose(lie.parameters(found)[row, :kept], values, atol=1e-11)
+            np.testing.assert_allclose(found[row, :kept], values, atol=1e-11)
 
 
-def test_padding_changes_nothing(three):
+@pytest.mark.slow
+def test_more_structures_than_are_kept(monkeypatch):
+    """Eleven hundred in a batch, each with a closure elsewhere, and a cache of a thousand."""
+    monkeypatch.setattr(registry.systems, "_size", 1000)
+    side, count = 34, 1100
+    pose = np.arange(side)
+    line = lie.exp(jaxlie.SE2, pose[:, None] * np.array([1.0, 0.0, 0.0]))
+    edges = {"sigma_translation": 0.1, "sigma_rotation": 0.01}
+    maps = tuple(PoseGraph.from_trajectory(line, **edges) for _ in range(2))
+    pose_a, pose_b = (ends.ravel()[:count, None] for ends in np.meshgrid(pose, pose))
+    measured = lie.between(lie.take(line, pose_a), lie.take(line, pose_b))
+
+    def merged(pose_a, pose_b, values):
+        information = jnp.eye(3)[None]
+        ends = {"robot_a": jnp.zeros(1, int), "robot_b": jnp.ones(1, int)}
+        ends |= {"pose_a": pose_a, "pose_b": pose_b}
+        closures = LoopClosures(**ends, measurement=jaxlie.SE2(values), information=information)
+        return lie.parameters(merge_differentiable(MultiRobotGraph(maps, closures), jnp.ones(1))[1])
+
+    run = compiled_fast(jax.vmap(merged))
+    found = run(pose_a.astype(np.int32), pose_b.astype(np.int32), lie.parameters(measured))
+    expected = np.broadcast_to(lie.parameters(line), (count, side, 4))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+def test_no_factor_is_left_behind(three, monkeypatch):
+    left, factorize = [], System.factorize
+
+    def watched(self, *arguments):
+        factor = factorize(self, *arguments)
+        left.append(weakref.ref(factor))
+        return factor
+
+    monkeypatch.setattr(System, "factorize", watched)
+    for weights in (np.ones(5), WEIGHTS):
+        jax.block_until_ready(merge_differentiable(three, weights))
+    gc.collect()
+    assert len(left) > 4
+    assert not any(factor() for factor in left)
+    assert registry.spare.nbytes == 0
+
+
+def test_padding_changes_nothing(three, run_three):
     """Poses, edges and closures added to every map, bit for bit, derivatives included."""
     weights = np.array([1.0, 0.5, 0.0, 0.8, 0.3])
     longer = pad_graph(three, poses=13, edges=17, closures=7)
@@ -268,31 +335,26 @@ def test_padding_changes_nothing(three):
     measurement[5:] = np.nan
     odd = dataclasses.replace(longer.closures, measurement=jaxlie.SE2(jnp.asarray(measurement)))
     longer = MultiRobotGraph(longer.maps, odd)
-
-    def loss(graph, weights):
-        merged = merge_differentiable(graph, weights)
-        values = [lie.parameters(poses)[: three.maps[0].num_poses] for poses in merged]
-        return sum(jnp.sum(jnp.sin(v)) for v in values), values
-
-    run = jax.jit(jax.value_and_grad(loss, argnums=1, has_aux=True))
-    (_, expected), wanted = run(three, weights)
-    (_, found), gradient = run(longer, np.append(weights, [0.7, np.nan]))
+    at = weighted(three, weights)
+    _, _, wanted, expected = run_three(at, at)
+    more = weighted(longer, np.append(weights, [0.7, np.nan]))
+    _, _, gradient, found = both_modes(loss_of(longer))(more, jax.tree.map(jnp.zeros_like, more))
     np.testing.assert_array_equal(found, expected)
-    np.testing.assert_array_equal(gradient[:5], wanted)
-    np.testing.assert_array_equal(gradient[5:], 0.0)
-    assert np.abs(wanted).max() > 1e-3
+    np.testing.assert_array_equal(gradient["weight"][:5], wanted["weight"])
+    np.testing.assert_array_equal(gradient["weight"][5:], 0.0)
+    assert np.abs(wanted["weight"]).max() > 1e-3
 
 
 def test_second_derivatives(three, run_three):
     """The rule is differentiable itself."""
     weights, along = np.array([1.0, 0.5, 0.4, 0.8, 0.3]), np.array([0.3, -0.1, 0.2, 0.1, 0.4])
-    loss = loss_of(three, jnp.asarray(weights))
+    loss = loss_of(three)
 
     def on_the_line(t):
-        return loss(weighted(three, t * along))
+        return loss(weighted(three, weights + t * along))[0]
 
     slope = lambda t: jax.jvp(on_the_line, (t,), (jnp.ones(()),))[1]  # noqa: E731
-    _, bend = jax.jit(lambda t: jax.jvp(slope, (t,), (jnp.ones(()),)))(jnp.zeros(()))
+    _, bend = compiled_fast(lambda t: jax.jvp(slope, (t,), (jnp.ones(()),)))(jnp.zeros(()))
     h, unit = 1e-3, weighted(three, along)
     ahead, behind = (run_three(weighted(three, weights + t * along), unit)[1] for t in (h, -h))
     assert abs(float(bend)) > 1e-3
@@ -300,32 +362,20 @@ def test_second_derivatives(three, run_three):
 
 
 def test_city10000_in_a_few_solves(shared_data):
-    """Real size: one solve, then value and gradient by everything; two solves' time when alone."""
+    """Real size: value and gradient by everything."""
     whole = read_graph(shared_data / "city10000" / "city10000.g2o.xz").maps[0]
     halves = split(whole, [whole.num_poses // 2])
     few = halves.closures[np.arange(0, len(halves.closures), 20)]
     graph = MultiRobotGraph(tuple(optimize(own).graph for own in halves.maps), few)
     weights = np.random.default_rng(0).uniform(0.3, 1.0, len(few))
     weights[::5] = 0.0
-    run = both_modes(loss_of(graph, jnp.asarray(weights)))
-    at, along = still(graph), direction_in(graph, weights, "closure")
-    _, forward, gradient = run(at, along)
+    run = both_modes(loss_of(graph, poses=halves.maps[0].num_poses))
+    at, along = weighted(graph, weights), direction_in(graph, weights, "closure")
+    _, forward, gradient, _ = run(at, along)
     np.testing.assert_allclose(forward, jnp.vdot(gradient["closure"], along["closure"]), rtol=1e-6)
-    ahead, behind = (float(run(scaled(along, h), at)[0]) for h in (1e-3, -1e-3))
+    ahead, behind = (float(run(moved(at, along, h), at)[0]) for h in (1e-3, -1e-3))
     np.testing.assert_allclose(forward, (ahead - behind) / 2e-3, rtol=1e-6)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-    joint = merge(graph, accepted=weights > 0.0, optimized=True).graph
-    solves = [
-        time_of(lambda: merge(joint, accepted=weights > 0.0, optimized=True)) for _ in range(3)
-    ]
-    derivatives = [time_of(lambda: jax.block_until_ready(run(at, along))) for _ in range(3)]
-    assert min(derivatives) < 5.0 * min(solves)
-
-
-def time_of(run):
-    start = time.perf_counter()
-    run()
-    return time.perf_counter() - start
 
 
 def test_what_is_refused(three):

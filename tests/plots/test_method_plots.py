@@ -7,7 +7,6 @@ from matplotlib import pyplot
 
 from pcm_jax import plots
 from pcm_jax.errors import InputError
-from pcm_jax.evaluation import comparison_table
 from pcm_jax.plots import style as plot_style
 
 mpl.use("Agg")
@@ -128,52 +127,6 @@ def test_precision_and_recall_are_a_row_for_each_method():
     assert [text.get_text() for text in ax.get_yticklabels()] == ["PCM", "DCS"]
     assert not np.allclose(precision.get_facecolors(), recall.get_facecolors())
     assert legend_of(ax) == ["precision", "recall"]
-
-
-def test_a_table_in_markdown():
-    text = comparison_table(
-        ROWS,
-        {"tpr": "TPR", "fpr": "FPR", "mse": "MSE (m²)", "solver": "solver"},
-        best={"tpr": max, "fpr": min},
-        reference="no-outliers",
-    )
-    assert text.splitlines() == [
-        "|   | TPR | FPR | MSE (m²) | solver |",
-        "| --- | ---: | ---: | ---: | --- |",
-        "| no-outliers | 1 | 0 | 0.276 | converged |",
-        "| scgp | 0.668 | 0.0514 | 623 | converged |",
-        "| dcs | 0 | **0** | 183,078 | stopped |",
-        "| pcm | **1.00** | 4.00e-05 | – | – |",
-    ]
-
-
-def test_columns_can_be_chosen_and_default_to_all():
-    head = comparison_table(ROWS).splitlines()[0]
-    assert head == "|   | tpr | fpr | mse | solver |"
-    assert comparison_table(ROWS, ["mse"]).splitlines()[3] == "| scgp | 623 |"
-    with pytest.raises(InputError, match="columns: 'fnr'"):
-        comparison_table(ROWS, ["fnr"])
-    with pytest.raises(InputError, match="best: 'fnr'"):
-        comparison_table(ROWS, best={"fnr": min})
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (1234.5, "1,234"),
-        (999.96, "1,000"),
-        (9.996, "10.0"),
-        (0.09996, "0.100"),
-        (-0.0314159, "-0.0314"),
-        (0.001, "0.00100"),
-        (True, "1"),
-        (np.inf, "inf"),
-        (None, "–"),
-        ("paper", "paper"),
-    ],
-)
-def test_numbers_have_three_digits(value, text):
-    assert comparison_table({"method": {"column": value}}).splitlines()[2] == f"| method | {text} |"
 
 
 def test_a_table_is_drawn_with_the_same_texts():

@@ -6,24 +6,25 @@ import numpy as np
 import pytest
 
 from pcm_jax.sparse import assembly
+from pcm_jax.sparse._memory import SpareMemory
 from pcm_jax.sparse._symbolic import front_tree
 from pcm_jax.sparse.assembly import _places, plan_for
 from pcm_jax.sparse.cholesky import (
     NotPositiveDefiniteError,
-    blas_threads,
     factorize,
-    free_spare_memory,
     inverse_triangles,
-    limited_to,
-    spare_memory,
 )
 from pcm_jax.sparse.inverse import inverse_block, inverse_columns, inverse_diagonal
 
-RNG = np.random.default_rng(3)
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """One stream for each test, whatever ran before it."""
+    return np.random.default_rng(3)
 
 
 def random_pairs(size: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    pairs = RNG.integers(0, size, (count, 2))
+    pairs = np.random.default_rng(count).integers(0, size, (count, 2))
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     return pairs[:, 0], pairs[:, 1]
 
@@ -64,10 +65,10 @@ def pattern(request: pytest.FixtureRequest) -> tuple[int, np.ndarray, np.ndarray
     return size, tail, head
 
 
-def random_system(size: int, tail: np.ndarray, head: np.ndarray, d: int):
+def random_system(rng: np.random.Generator, size: int, tail: np.ndarray, head: np.ndarray, d: int):
     """A plan, blocks of a positive definite H in its order, and H dense in the poses' order."""
     plan = plan_for(size, tail, head, d)
-    blocks = RNG.normal(size=(len(plan.block_row), d, d))
+    blocks = rng.normal(size=(len(plan.block_row), d, d))
     blocks[:size] = 0.0
     dense = np.zeros((size, d, size, d))
     pose = np.argsort(plan.position)
@@ -84,20 +85,20 @@ def random_system(size: int, tail: np.ndarray, head: np.ndarray, d: int):
 
 
 @pytest.mark.parametrize("d", [1, 3, 6])
-def test_solve_inverts_the_matrix(pattern, d):
+def test_solve_inverts_the_matrix(pattern, d, rng):
     size, tail, head = pattern
-    plan, blocks, dense = random_system(size, tail, head, d)
-    right = RNG.normal(size=(size * d, 3))
+    plan, blocks, dense = random_system(rng, size, tail, head, d)
+    right = rng.normal(size=(size * d, 3))
     factor = factorize(plan, blocks)
     np.testing.assert_allclose(dense @ factor.solve(right), right, atol=1e-10)
     np.testing.assert_allclose(dense @ factor.solve(right[:, 0]), right[:, 0], atol=1e-10)
 
 
 @pytest.mark.parametrize("d", [1, 3, 6])
-def test_inverse_block_is_that_of_the_dense_inverse(pattern, d):
+def test_inverse_block_is_that_of_the_dense_inverse(pattern, d, rng):
     size, tail, head = pattern
-    plan, blocks, dense = random_system(size, tail, head, d)
-    wanted = RNG.permutation(size)[: max(1, size // 3)]
+    plan, blocks, dense = random_system(rng, size, tail, head, d)
+    wanted = rng.permutation(size)[: max(1, size // 3)]
     rows = (wanted[:, None] * d + np.arange(d)).ravel()
     expected = np.linalg.inv(dense)[np.ix_(rows, rows)]
     found = inverse_block(factorize(plan, blocks), wanted)
@@ -106,14 +107,14 @@ def test_inverse_block_is_that_of_the_dense_inverse(pattern, d):
 
 
 @pytest.mark.parametrize("d", [3, 6])
-def test_columns_and_diagonal_are_those_of_the_dense_inverse(pattern, d, monkeypatch):
+def test_columns_and_diagonal_are_those_of_the_dense_inverse(pattern, d, monkeypatch, rng):
     monkeypatch.setattr("pcm_jax.sparse.inverse.POSES_AT_ONCE", 16)
     size, tail, head = pattern
-    plan, blocks, dense = random_system(size, tail, head, d)
+    plan, blocks, dense = random_system(rng, size, tail, head, d)
     factor = factorize(plan, blocks)
     expected = np.linalg.inv(dense).reshape(size, d, size, d)
-    wanted = RNG.permutation(size)[: max(1, size // 3)]
-    right = RNG.normal(size=(len(wanted), d, d))
+    wanted = rng.permutation(size)[: max(1, size // 3)]
+    right = rng.normal(size=(len(wanted), d, d))
     columns = inverse_columns(factor, wanted, right)[plan.position]
     products = np.einsum("iajb,jbc->iacj", expected[:, :, wanted], right)
     np.testing.assert_allclose(columns, products, atol=1e-12)
@@ -121,12 +122,29 @@ def test_columns_and_diagonal_are_those_of_the_dense_inverse(pattern, d, monkeyp
     np.testing.assert_allclose(diagonal, expected[wanted, :, wanted], atol=1e-13)
 
 
-def test_a_long_chain_is_solved():
+@pytest.mark.parametrize("d", [3, 6])
+def test_right_hand_sides_cost_no_product(pattern, d, rng):
+    """Rᵀ (block of the inverse) R, by blocks of R."""
+    size, tail, head = pattern
+    plan, blocks, dense = random_system(rng, size, tail, head, d)
+    factor = factorize(plan, blocks)
+    wanted = rng.permutation(size)[: max(1, size // 3)]
+    right = rng.normal(size=(len(wanted), d, d))
+    inverse = np.linalg.inv(dense).reshape(size, d, size, d)[wanted][:, :, wanted]
+    expected = np.einsum("iba,ibjc,jcd->iajd", right, inverse, right)
+    found = inverse_block(factor, wanted, right).reshape(expected.shape)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    own = np.arange(len(wanted))
+    diagonal = inverse_diagonal(factor, wanted, right)
+    np.testing.assert_allclose(diagonal, expected[own, :, own], atol=1e-12)
+
+
+def test_a_long_chain_is_solved(rng):
     size, d = 3000, 3
     plan = plan_for(size, *chain(size), d)
     blocks = np.zeros((len(plan.block_row), d, d))
     blocks[:size], blocks[size:] = 2.5 * np.eye(d), -np.eye(d)
-    right = RNG.normal(size=(size, d))
+    right = rng.normal(size=(size, d))
     x = factorize(plan, blocks).solve(right.ravel()).reshape(size, d)
     product = 2.5 * x
     product[1:] -= x[:-1]
@@ -134,25 +152,25 @@ def test_a_long_chain_is_solved():
     np.testing.assert_allclose(product, right, atol=1e-12)
 
 
-def test_large_fronts_take_the_same_path_as_small_ones(monkeypatch):
-    plan, blocks, dense = random_system(60, *random_pairs(60, 700), 6)
-    right = RNG.normal(size=360)
+def test_large_fronts_take_the_same_path_as_small_ones(monkeypatch, rng):
+    plan, blocks, dense = random_system(rng, 60, *random_pairs(60, 700), 6)
+    right = rng.normal(size=360)
     monkeypatch.setattr("pcm_jax.sparse.cholesky.LARGE_PIVOTS", 0)
     np.testing.assert_allclose(dense @ factorize(plan, blocks).solve(right), right, atol=1e-10)
 
 
 @pytest.mark.parametrize("size", [1, 9, 24, 36, 72, 96, 50])
-def test_inverse_of_triangles(size):
-    lower = np.tril(RNG.normal(size=(3, size, size))) + 5 * np.eye(size)
+def test_inverse_of_triangles(size, rng):
+    lower = np.tril(rng.normal(size=(3, size, size))) + 5 * np.eye(size)
     inverse = inverse_triangles(lower)
     expected = np.broadcast_to(np.eye(size), lower.shape)
     np.testing.assert_allclose(inverse @ lower, expected, atol=1e-12)
     np.testing.assert_allclose(np.triu(inverse, 1), 0.0, atol=1e-12)
 
 
-def test_places_overlap_only_where_the_earlier_one_is_done_with():
-    size = RNG.integers(0, 9, 60)
-    needed_by = np.arange(60) + RNG.integers(1, 20, 60)
+def test_places_overlap_only_where_the_earlier_one_is_done_with(rng):
+    size = rng.integers(0, 9, 60)
+    needed_by = np.arange(60) + rng.integers(1, 20, 60)
     start = _places(size, needed_by)
     for early, late in itertools.combinations(range(60), 2):
         apart = (
@@ -174,32 +192,28 @@ def test_groups_share_memory_and_stay_small(monkeypatch):
     assert small.chunks * 3 - (1 + len(small.block_row)) * 9 < own / 2
 
 
-def test_a_factor_in_given_memory_is_the_same():
-    plan, blocks, _ = random_system(60, *random_pairs(60, 200), 3)
-    right = RNG.normal(size=180)
+def test_a_factor_in_given_memory_is_the_same(rng):
+    plan, blocks, _ = random_system(rng, 60, *random_pairs(60, 200), 3)
+    right = rng.normal(size=180)
     expected = factorize(plan, blocks).solve(right)
+    spare = SpareMemory()
     for _ in range(2):
-        with spare_memory(plan.scalars) as memory:
+        with spare.borrow(plan.scalars) as memory:
             memory[:] = np.nan
             factor = factorize(plan, blocks, memory)
             assert all(np.shares_memory(part, memory) for part in factor.couplings if part.size)
             np.testing.assert_array_equal(factor.solve(right), expected)
-    with spare_memory(10) as again:
-        assert np.shares_memory(again, memory)
-    free_spare_memory()
-    with spare_memory(10) as other:
-        assert not np.shares_memory(other, memory)
 
 
-def test_an_indefinite_matrix_is_reported():
-    plan, blocks, _ = random_system(50, *chain(50), 3)
+def test_an_indefinite_matrix_is_reported(rng):
+    plan, blocks, _ = random_system(rng, 50, *chain(50), 3)
     blocks[7] *= -1.0
     with pytest.raises(NotPositiveDefiniteError):
         factorize(plan, blocks)
 
 
-def test_a_matrix_that_is_not_finite_is_reported():
-    plan, blocks, _ = random_system(50, *chain(50), 3)
+def test_a_matrix_that_is_not_finite_is_reported(rng):
+    plan, blocks, _ = random_system(rng, 50, *chain(50), 3)
     blocks[7] = np.nan
     with pytest.raises(NotPositiveDefiniteError):
         factorize(plan, blocks)
@@ -233,12 +247,3 @@ def test_plans_are_found_by_content():
     assert plan_for(40, tail.copy(), head.astype(np.int32), 3) is plan
     assert plan_for(40, tail, head, 6) is not plan
     assert plan_for(41, tail, head, 3) is not plan
-
-
-def test_the_users_number_of_threads_is_left_alone():
-    before = blas_threads()
-    with limited_to(2):
-        plan, blocks, _ = random_system(50, *chain(50), 3)
-        factorize(plan, blocks).solve(np.zeros(150))
-        assert blas_threads() == 2
-    assert blas_threads() == before

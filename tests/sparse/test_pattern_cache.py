@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
 
-from pcm_jax.sparse.pattern_cache import PatternCache, array_bytes
+from pcm_jax.sparse._pattern_cache import PatternCache, array_bytes
 
 
 def keys(*starts: int) -> list[np.ndarray]:
@@ -57,3 +59,37 @@ def test_arrays_are_counted_once_wherever_they_lie():
     node.itself = node
     assert array_bytes(node) == array.nbytes
     assert array_bytes([np.zeros(10), np.zeros(10)]) == 160
+
+
+def test_threads_that_ask_at_once_get_one_result():
+    cache: PatternCache[object] = PatternCache()
+    together = threading.Barrier(8)
+
+    def make() -> object:
+        together.wait(30)  # every thread makes its own: one of them is kept
+        return object()
+
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda _: cache.get(make, keys(0)[0]), range(8)))
+    assert len({id(each) for each in found}) == 1
+
+
+def test_bounds_hold_in_threads():
+    cache: PatternCache[np.ndarray] = PatternCache(size=5, nbytes=1_000)
+
+    def ask(start: int) -> int:
+        return cache.get(lambda: np.full(100, start, np.uint8), *keys(start))[0]
+
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(ask, [k % 20 for k in range(400)]))
+    assert found == [k % 20 for k in range(400)]
+    assert cache.nbytes == 500
+
+
+def test_clearing_forgets_everything():
+    cache: PatternCache[int] = PatternCache()
+    numbers = itertools.count()
+    for _ in range(2):
+        cache.get(lambda: next(numbers), keys(0)[0])
+        cache.clear()
+    assert next(numbers) == 2

@@ -207,7 +207,7 @@ def reweighted(
         solved = problem.solve(
             poses,
             scale=of_edges,
-            method=solver,
+            solver=solver,
             engine=engine,
             max_steps=reweighting.evaluations,
         )

@@ -36,7 +36,13 @@ from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
 from pcm_jax.simulation._town import crossings_left, index_below, town_drive
 from pcm_jax.simulation.measurements import space_dim
-from pcm_jax.simulation.outliers import ALIAS_DRAWS, ALIAS_SEPARATION, RANDOM_LABEL
+from pcm_jax.simulation.outliers import (
+    ALIAS_DRAWS,
+    RANDOM_LABEL,
+    bounding_box,
+    squared_lengths,
+    wrong_alignment,
+)
 from pcm_jax.simulation.world import require_at_least, require_positive
 
 # Poses looked at for each closure wanted: in the default town all closures are then within reach.
@@ -65,7 +71,7 @@ class ChainWorld(NamedTuple):
 
     @property
     def is_true(self) -> Bool[Array, " m"]:
-        """Which closures are true."""
+        """Marks of the true closures."""
         return self.labels == 0
 
 
@@ -227,8 +233,8 @@ def _pairs(
     path_a, path_b = lie.take(truth, 0), lie.take(truth, 1)
     inliers, groups, size, random = counts
 
-    def mistaken(alignment: Any, around: Any) -> Any:
-        moved = lie.compose(_wrong_alignment(alignment, path_a, path_b, reach), path_b)
+    def mistaken(chance: Any, around: Any) -> Any:
+        moved = lie.compose(_alignment(chance, path_a, path_b, reach), path_b)
         return _meetings(around, path_a, moved, size, reach)
 
     aliased = jax.vmap(mistaken)(chance.alignments, chance.mistaken)
@@ -254,14 +260,14 @@ def _meetings(
     i = index_below(chance[:, 0], len(here))
     about = here[i] + (2.0 * chance[:, 1:] - 1.0) * reach / here.shape[1] ** 0.5
     k = _nearest(about, there)
-    apart = _squared_lengths(here[i] - there[k])
+    apart = squared_lengths(here[i] - there[k])
     best = jnp.argsort(jnp.maximum(apart, reach**2), stable=True)[:count]
     return _seen(path_a, path_b, i[best], k[best])
 
 
 def _nearest(places: Float[Array, "l s"], others: Float[Array, "n s"]) -> Int[Array, " l"]:
     """The first of the nearest, up to rounding; `argmin` takes five times as long on a CPU."""
-    squared = _squared_lengths(places[:, None] - others)
+    squared = squared_lengths(places[:, None] - others)
     least = squared.min(axis=1, keepdims=True)
     index = np.arange(len(others), dtype=np.int32)
     return jnp.where(squared <= least * (1.0 + 1e-6), index, len(others) - 1).min(axis=1)
@@ -271,44 +277,24 @@ def _seen(path_a: Any, path_b: Any, i: Any, k: Any) -> tuple[Any, Any, Any]:
     return i, k, lie.between(lie.take(path_a, i), lie.take(path_b, k))
 
 
-def _wrong_alignment(chance: Float[Array, " n"], path_a: Any, path_b: Any, reach: Any) -> Any:
-    """As in `outliers`: the surroundings of a pose of b, carried to a place far away from it."""
-    group = lie.group_of(path_a)
-    here, there = lie.translation(path_a), lie.translation(path_b)
-    space, d = space_dim(group), lie.tangent_dim(group)
-    i, k = (
-        index_below(chance[:ALIAS_DRAWS], len(here)),
-        index_below(chance[ALIAS_DRAWS:-space], len(there)),
-    )
-    apart = _squared_lengths(here[i] - there[k])
-    low, high = _bounding_box(path_a, path_b)
-    far = apart >= ALIAS_SEPARATION**2 * _squared_lengths(high - low)
-    drawn = jnp.argmax(jnp.where(far.any(), far, apart))
-    shift = (2.0 * chance[-space:] - 1.0) * reach
-    moved = lie.exp(group, jnp.concatenate([shift, jnp.zeros(d - space)]))
-    shifted = lie.compose(lie.take(path_a, i[drawn]), moved)
-    return lie.compose(shifted, lie.inverse(lie.take(path_b, k[drawn])))
+def _alignment(chance: Float[Array, " n"], path_a: Any, path_b: Any, reach: Any) -> Any:
+    """The wrong alignment that uniform numbers draw: two poses' indices, then the shift."""
+    draws = (chance[:ALIAS_DRAWS], path_a), (chance[ALIAS_DRAWS : 2 * ALIAS_DRAWS], path_b)
+    i, k = (index_below(uniform, len(lie.parameters(path))) for uniform, path in draws)
+    shift = (2.0 * chance[2 * ALIAS_DRAWS :] - 1.0) * reach
+    return wrong_alignment((i, k), shift, path_a, path_b)
 
 
 def _anywhere(
     chance: Float[Array, "r s+2"], white: Float[Array, "r q"], path_a: Any, path_b: Any
 ) -> tuple[Any, Any, Any]:
     """As in `outliers`: pose k of b stands anywhere in the box around both paths, anyhow turned."""
-    group, (low, high) = lie.group_of(path_a), _bounding_box(path_a, path_b)
+    group, (low, high) = lie.group_of(path_a), bounding_box(path_a, path_b)
     poses = len(lie.parameters(path_a))
     i, k = index_below(chance[:, 0], poses), index_below(chance[:, 1], poses)
     place = low + chance[:, 2:] * (high - low)
     stands = lie.normalize(group(jnp.concatenate([white, place], axis=1)))
     return i, k, lie.between(lie.take(path_a, i), stands)
-
-
-def _bounding_box(path_a: Any, path_b: Any) -> tuple[Float[Array, " s"], Float[Array, " s"]]:
-    places = jnp.concatenate([lie.translation(path_a), lie.translation(path_b)])
-    return places.min(axis=0), places.max(axis=0)
-
-
-def _squared_lengths(vectors: Float[Array, "*batch s"]) -> Float[Array, "*batch"]:
-    return jnp.sum(vectors**2, axis=-1)
 
 
 def _problem(

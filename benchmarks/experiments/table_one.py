@@ -1,6 +1,6 @@
-"""Table I in the top README, between two markers, from the committed results.
+"""Table I in `benchmarks/report.md`, between two markers, from the committed results.
 
-python -m benchmarks.experiments.readme_table
+python -m benchmarks.experiments.table_one
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from benchmarks.suite.harness import ROOT
 from benchmarks.suite.report import with_block
 from pcm_jax.evaluation import comparison_table
 
-README = ROOT / "README.md"
+REPORT = ROOT / "benchmarks" / "report.md"
 RESULTS = ROOT / "benchmarks" / "results"
 MARKERS = "<!-- Table I: generated, do not edit -->", "<!-- end of Table I -->"
 
@@ -42,7 +42,7 @@ FIGURES = {
 
 
 def block(results: Path = RESULTS) -> str:
-    """What stands between the markers."""
+    """The text between the markers."""
     literal, calibrated = (
         json.loads((results / name / "summary.json").read_text()) for name in ("city", "city-sqrt")
     )
@@ -62,4 +62,4 @@ def _row(ours: Mapping[str, float], paper: str = "") -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    README.write_text(with_block(README.read_text(), MARKERS, block()))
+    REPORT.write_text(with_block(REPORT.read_text(), MARKERS, block()))

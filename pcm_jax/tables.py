@@ -1,4 +1,8 @@
-"""Tables of methods against figures of merit, as in the paper's Tables I and II."""
+"""Tables as text: in Markdown, in aligned columns, and of methods against figures of merit.
+
+print(markdown(["robots", "closures"], [["a - b", 115]]))
+print(comparison_table({"pcm": {"tpr": 0.997}, "dcs": {"tpr": 0.0}}, best={"tpr": max}))
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,7 @@ _SMALLEST_PLAIN = 1e-3
 
 
 class Table(NamedTuple):
-    """What a table says, row by row.
+    """The texts of a comparison table, row by row.
 
     Attributes:
         heads: heading of each column; that of the methods is empty.
@@ -31,6 +35,55 @@ class Table(NamedTuple):
     cells: list[list[str]]
     bold: list[list[bool]]
     numeric: list[bool]
+
+
+def markdown(
+    head: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    *,
+    numeric: Sequence[bool] | None = None,
+    aligned: bool = False,
+) -> str:
+    """Writes a table in Markdown.
+
+    Args:
+        head: heading of each column.
+        rows: cells, of which each counts by its `str`.
+        numeric: for each column whether it is set to the right; None: none is.
+        aligned: whether cells are padded, so that the text itself stands in columns.
+    """
+    right = [False] * len(head) if numeric is None else list(numeric)
+    lines = [[str(cell) for cell in row] for row in (head, *rows)]
+    widths = [max(map(len, column)) if aligned else 0 for column in zip(*lines, strict=True)]
+    rule = [("---:" if r else "---").rjust(w, "-") for r, w in zip(right, widths, strict=True)]
+    lines.insert(1, rule)
+    padded = ([cell.ljust(w) for cell, w in zip(line, widths, strict=True)] for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in padded)
+
+
+def columns_of_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Writes rows in aligned columns under a head: numbers to the right, all else to the left."""
+    lines = [[str(cell) for cell in row] for row in (head, *rows)]
+    columns = list(zip(*lines, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    right = [all(is_number(cell) for cell in column[1:]) for column in columns]
+    padded = (
+        (
+            cell.rjust(width) if to_right else cell.ljust(width)
+            for cell, width, to_right in zip(line, widths, right, strict=True)
+        )
+        for line in lines
+    )
+    return "\n".join("  ".join(line).rstrip() for line in padded)
+
+
+def is_number(text: str) -> bool:
+    """Says whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def comparison_table(
@@ -55,11 +108,11 @@ def comparison_table(
         InputError: `columns` or `best` name a column that no row has.
     """
     table = tabulate(rows, columns, best=best, reference=reference)
-    rule = ["---:" if numeric else "---" for numeric in table.numeric]
-    lines = [[head or " " for head in table.heads], rule]
-    for cells, bold in zip(table.cells, table.bold, strict=True):
-        lines.append([f"**{t}**" if b else t for t, b in zip(cells, bold, strict=True)])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    lines = (
+        [f"**{text}**" if strong else text for text, strong in zip(cells, bold, strict=True)]
+        for cells, bold in zip(table.cells, table.bold, strict=True)
+    )
+    return markdown([head or " " for head in table.heads], lines, numeric=table.numeric)
 
 
 def tabulate(
@@ -69,7 +122,7 @@ def tabulate(
     best: Best | None = None,
     reference: str | None = None,
 ) -> Table:
-    """The texts of `comparison_table`, whose arguments these are."""
+    """Lays out the texts of `comparison_table`, whose arguments these are."""
     names = list(dict.fromkeys(name for row in rows.values() for name in row))
     chosen = names if columns is None else list(columns)
     for argument, given in {"columns": chosen, "best": best or ()}.items():
@@ -92,7 +145,7 @@ def tabulate(
 
 
 def _winners(values: Sequence[Any], competes: np.ndarray, pick: Any) -> np.ndarray:
-    """Ties win together."""
+    """Marks the best of those that compete; ties win together."""
     numbers = np.array([np.nan if _missing(value) else value for value in values], dtype=float)
     candidates = numbers[competes & np.isfinite(numbers)]
     return competes & (numbers == pick(candidates)) if len(candidates) else np.zeros(len(values))
