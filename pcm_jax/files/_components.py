@@ -9,19 +9,24 @@ from pcm_jax.files._scope import Scope, made_scope
 from pcm_jax.files.pose_file import PoseFile
 
 
-def by_components(file: PoseFile, scope: Scope) -> Scope:
+def by_components(file: PoseFile, scope: Scope, *, only_apart: bool = False) -> Scope:
     """A scope in which each session of the file's one robot is a robot.
 
     Where edges leave the map in parts, the parts are the sessions; else the parts that odometry
     leaves, edges between poses that follow one another in the order of ids. A file of several
     robots, of candidates, or of one session keeps its scope.
+
+    Args:
+        file: what the file holds.
+        scope: whose its ids are.
+        only_apart: whether only parts that no edge joins count.
     """
     if len(scope.labels) != 1 or file.candidates or not len(file.edges):
         return scope
     known = np.unique(file.ids)
     rank = np.searchsorted(known, file.edges.ids)
     part = _parts(rank, len(known))
-    if part.max() == 0:
+    if part.max() == 0 and not only_apart:
         part = _parts(rank[np.abs(rank[:, 0] - rank[:, 1]) == 1], len(known))
     count = int(part.max()) + 1
     if count == 1:

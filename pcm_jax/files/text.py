@@ -18,6 +18,8 @@ from jaxtyping import Float, Int
 from pcm_jax.errors import FileFormatError
 from pcm_jax.graph.validation import Fault, check_finite, raise_first
 
+MOST_TAGS = 300  # different first words: formats have fewer, other files as many as lines
+
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
@@ -166,6 +168,10 @@ def rows_by_tag(path: str, lines: Sequence[str]) -> tuple[dict[str, Rows], list[
             comments.append(line)
             continue
         if tag not in words:
+            if len(words) == MOST_TAGS:
+                raise FileFormatError(
+                    path, number, f"unknown tag {tag[:40]!r}, after {MOST_TAGS} other first words"
+                )
             words[tag], widths[tag], numbers[tag] = [], [], []
         words[tag] += row
         widths[tag].append(len(row))

@@ -15,6 +15,7 @@ from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.padded import pad_graph
 from pcm_jax.graph.pose_graph import PoseGraph
+from pcm_jax.graph.priors import Priors
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
 from pcm_jax.graph.split import split
 
@@ -22,6 +23,7 @@ __all__ = [
     "LoopClosures",
     "MultiRobotGraph",
     "PoseGraph",
+    "Priors",
     "pad_graph",
     "spanning_tree_poses",
     "split",

@@ -83,9 +83,21 @@ def test_what_is_left_out_is_counted(chain):
     factors, values = chain
     noise = gtsam.noiseModel.Isotropic.Sigma(3, 1.0)
     for key in (0, 1):
-        factors.add(gtsam.PriorFactorPose2(key, gtsam.Pose2(), noise))
-    with pytest.warns(InputWarning, match="factors: 2 PriorFactorPose2 left out"):
-        from_gtsam(factors, values)
+        factors.add(gtsam.RangeFactorPose2(key, key + 1, 1.0, gtsam.noiseModel.Unit.Create(1)))
+        factors.add(gtsam.PriorFactorPose2(key, gtsam.Pose2(key, 0, 0), noise))
+    with pytest.warns(InputWarning, match=r"factors: skipped 2 lines \(2 RangeFactorPose2\)"):
+        (one,) = from_gtsam(factors, values).maps
+    assert one.priors.pose.tolist() == [0, 1]
+    np.testing.assert_allclose(lie.translation(one.priors.measurement), [[0, 0], [1, 0]])
+    np.testing.assert_allclose(one.priors.information, np.tile(np.eye(3), (2, 1, 1)))
+
+
+def test_hard_constraints_on_request(chain):
+    factors, values = chain
+    noise = gtsam.noiseModel.Constrained.All(3)
+    factors.add(gtsam.BetweenFactorPose2(0, 1, gtsam.Pose2(), noise))
+    (one,) = from_gtsam(factors, values, constrained_sigma=1e-6).maps
+    np.testing.assert_allclose(one.information[-1], 1e12 * np.eye(3))
 
 
 def test_bad_factors_are_named(chain):
@@ -95,7 +107,7 @@ def test_bad_factors_are_named(chain):
     huber = gtsam.noiseModel.mEstimator.Huber.Create(1.0)
     for noise, keys, message in (
         (gtsam.noiseModel.Robust.Create(huber, unit), (0, 1), "noise model Robust, expected"),
-        (gtsam.noiseModel.Constrained.All(3), (0, 1), "not positive definite"),
+        (gtsam.noiseModel.Constrained.All(3), (0, 1), "a hard constraint .sigma 0."),
         (unit, (0, 99), "99"),
     ):
         bad = gtsam.NonlinearFactorGraph(factors)

@@ -4,10 +4,11 @@ import jaxlie
 import numpy as np
 import pytest
 
-from pcm_jax import lie
+from pcm_jax import files, lie
+from pcm_jax.cli import main
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import read_graph, write_graph
-from pcm_jax.files.formats import Format, formats, register, unregister
+from pcm_jax.files.formats import Format, formats, markdown, register, unregister
 from pcm_jax.files.pose_file import Lines, PoseFile, no_lines
 
 
@@ -71,3 +72,14 @@ def test_content_of_no_format(write):
     path = write("one two three")
     with pytest.raises(FileFormatError, match=":1: 'one two three' begins no format known"):
         read_graph(path)
+
+
+def test_the_table_of_formats_is_the_registrys():
+    assert markdown() in files.__doc__, "replace the table in pcm_jax/files/__init__.py"
+
+
+def test_formats_command(capsys):
+    assert main(["formats"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:4] == ["format", "holds", "read", "written"]
+    assert {one.name for one in formats()} == {line.split()[0] for line in lines[1:]}

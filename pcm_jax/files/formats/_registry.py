@@ -35,6 +35,7 @@ class Format:
         priors: what becomes of priors on poses.
         stamps: what becomes of time stamps.
         labels: what becomes of labels (which closures are true) and true poses.
+        binary: whether it is no text, and told by `magic` alone.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Format:
     priors: str = "none"
     stamps: str = "none"
     labels: str = "none"
+    binary: bool = False
 
 
 def register(format: Format) -> Format:
@@ -95,9 +97,13 @@ def recognised(source: Source) -> Format:
         FileFormatError: for content that is no format's.
     """
     readable = [one for one in formats() if one.read is not None]
-    best = max(readable, key=lambda one: one.recognise(source))
-    if best.recognise(source) > 0.0:
-        return best
+    for binary in (True, False):
+        chances = [(one.recognise(source), one) for one in readable if one.binary is binary]
+        sure, best = max(chances, key=lambda chance: chance[0], default=(0.0, None))
+        if best is not None and sure > 0.0:
+            return best
+        if source.is_folder:
+            break
     if source.is_folder:
         raise FileFormatError(source.path, None, "this is a folder, expected a file")
     if not source.head:

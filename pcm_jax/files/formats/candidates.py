@@ -72,7 +72,7 @@ def looks_like_candidates(source: Source) -> float:
         return 0.0
     line = source.head[0][1]
     mark = delimiter_of(line)
-    if mark is None:
+    if mark is None or line.startswith(("{", "[", "<")):
         return 0.0
     words = [word.strip().strip('"') for word in line.split(mark)]
     known = [_OF.get(word.lower()) for word in words]

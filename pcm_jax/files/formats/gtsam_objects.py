@@ -25,15 +25,16 @@ from pcm_jax.files.scopes import Scope, made_scope
 from pcm_jax.graph import symbols
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
-from pcm_jax.graph.validation import argument_fault, check_information, check_self_loops
+from pcm_jax.graph.validation import Fault, argument_fault, check_information, check_self_loops
 
 
 class _Kind(NamedTuple):
-    """What GTSAM has for a group: a pose from a matrix, a factor, and our tangent's entries."""
+    """What GTSAM has for a group: a pose from a matrix, factors, and our tangent's entries."""
 
     group: type[Any]
     pose: Callable[[Any], Any]
     between: Any
+    prior: Any
     order: list[int]
 
 
@@ -69,7 +70,9 @@ def to_gtsam(graph: MultiRobotGraph | PoseGraph) -> tuple[Any, Any]:
     return factors, values
 
 
-def from_gtsam(factors: Any, values: Any) -> MultiRobotGraph:
+def from_gtsam(
+    factors: Any, values: Any, *, constrained_sigma: float | None = None
+) -> MultiRobotGraph:
     """Maps and closures from GTSAM's `NonlinearFactorGraph` and `Values`.
 
     As `read_graph` takes a g2o file: symbol keys name their robots by letter, between factors that
@@ -77,8 +80,10 @@ def from_gtsam(factors: Any, values: Any) -> MultiRobotGraph:
     symbols belong to one robot.
 
     Args:
-        factors: between factors of `Pose2` or `Pose3`. Others are left out.
+        factors: between factors of `Pose2` or `Pose3`, and priors on poses. Others are left out.
         values: a pose for every key.
+        constrained_sigma: what to take for a standard deviation of 0 (metres, radians; 1e-6, say).
+            None makes such hard constraints an error.
 
     Returns:
         the graph; `source` of edges and closures is "factors:INDEX".
@@ -89,8 +94,7 @@ def from_gtsam(factors: Any, values: Any) -> MultiRobotGraph:
             is not connected.
 
     Warns:
-        InputWarning: for factors left out, counted by type, but for a single prior: that holds the
-            map, which here needs no holding.
+        InputWarning: for factors left out, counted by type.
     """
     gtsam = _gtsam()
     chosen = [(index, factors.at(index)) for index in range(factors.size())]
@@ -101,11 +105,22 @@ def from_gtsam(factors: Any, values: Any) -> MultiRobotGraph:
             break
     else:
         raise InputError("factors: no BetweenFactorPose2 or BetweenFactorPose3 among them")
-    _warn_of_others([each for _, each in chosen if not isinstance(each, kind.between)])
+    alone = [(index, each) for index, each in chosen if isinstance(each, kind.prior)]
+    left_out = Counter(
+        type(each).__name__ for _, each in chosen if not isinstance(each, kind.between | kind.prior)
+    )
     poses = [(key, pose) for key in list(values.keys()) if (pose := _pose(values, key, kind))]
     vertices = _lines([[key] for key, _ in poses], [pose for _, pose in poses], kind)
-    found = PoseFile("factors", kind.group, vertices, _edges(edges, gtsam, kind))
-    found = dataclasses.replace(found, format="gtsam", scope=_scope(found))
+    found = PoseFile(
+        "factors",
+        kind.group,
+        vertices,
+        _edges(edges, gtsam, kind, constrained_sigma),
+        format="gtsam",
+        left_out=left_out,
+        priors=_edges(alone, gtsam, kind, constrained_sigma) if alone else None,
+    )
+    found = dataclasses.replace(found, scope=_scope(found))
     graph, account = graph_of([found], Reading())
     for line in account.warnings():
         warnings.warn(InputWarning(line), stacklevel=2)
@@ -131,8 +146,14 @@ def _kinds(gtsam: Any) -> tuple[_Kind, _Kind]:
         return gtsam.Pose2(gtsam.Rot2.fromCosSin(*matrix[:2, 0]), matrix[:2, 2])
 
     return (
-        _Kind(jaxlie.SE2, pose2, gtsam.BetweenFactorPose2, [0, 1, 2]),
-        _Kind(jaxlie.SE3, gtsam.Pose3, gtsam.BetweenFactorPose3, [3, 4, 5, 0, 1, 2]),
+        _Kind(jaxlie.SE2, pose2, gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2, [0, 1, 2]),
+        _Kind(
+            jaxlie.SE3,
+            gtsam.Pose3,
+            gtsam.BetweenFactorPose3,
+            gtsam.PriorFactorPose3,
+            [3, 4, 5, 0, 1, 2],
+        ),
     )
 
 
@@ -150,16 +171,6 @@ def _add(factors: Any, gtsam: Any, kind: _Kind, keys: Sequence[np.ndarray], meas
     ):
         noise = gtsam.noiseModel.Gaussian.Information(weight)
         factors.add(kind.between(tail, head, kind.pose(matrix), noise))
-
-
-def _warn_of_others(others: list[Any]) -> None:
-    counts = Counter(type(factor).__name__ for factor in others)
-    if len(others) > 1 or not all(name.startswith("Prior") for name in counts):
-        names = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()))
-        warnings.warn(
-            InputWarning(f"factors: {names} left out, expected between factors of poses"),
-            stacklevel=3,
-        )
 
 
 def _pose(values: Any, key: int, kind: _Kind) -> Any:
@@ -182,10 +193,12 @@ def _lines(keys: list[list[int]], poses: list[Any], kind: _Kind) -> Lines:
     )
 
 
-def _edges(edges: list[tuple[int, Any]], gtsam: Any, kind: _Kind) -> Lines:
-    """The between factors, checked."""
+def _edges(
+    edges: list[tuple[int, Any]], gtsam: Any, kind: _Kind, constrained: float | None
+) -> Lines:
+    """The between factors, or the priors, checked."""
     index = np.array([number for number, _ in edges])
-    lines = _lines([f.keys() for _, f in edges], [f.measured() for _, f in edges], kind)
+    lines = _lines([f.keys() for _, f in edges], [_measured(f) for _, f in edges], kind)
 
     def fault(row: int, problem: str) -> InputError:
         return argument_fault("factors")(int(index[row]), problem)
@@ -196,8 +209,32 @@ def _edges(edges: list[tuple[int, Any]], gtsam: Any, kind: _Kind) -> Lines:
         if not isinstance(noise, gtsam.noiseModel.Gaussian):
             name = type(noise).__name__
             raise fault(row, f"noise model {name}, expected a Gaussian one")
-        weights.append(noise.information())
+        weights.append(_information(noise, gtsam, constrained, row, fault))
     order = np.array(kind.order)
     information = check_information(np.array(weights)[:, order[:, None], order], fault)
-    check_self_loops(lines.ids[:, 0], lines.ids[:, 1], fault)
+    if lines.ids.shape[1] == 2:
+        check_self_loops(lines.ids[:, 0], lines.ids[:, 1], fault)
     return dataclasses.replace(lines, information=information, line=index)
+
+
+def _measured(factor: Any) -> Any:
+    """The measurement of a between factor or a prior."""
+    return factor.measured() if hasattr(factor, "measured") else factor.prior()
+
+
+def _information(
+    noise: Any, gtsam: Any, constrained: float | None, row: int, fault: Fault
+) -> np.ndarray:
+    """A Gaussian noise model's information; hard constraints get the sigma given for them."""
+    if not isinstance(noise, gtsam.noiseModel.Constrained):
+        return noise.information()
+    sigmas = np.array(noise.sigmas())
+    if (sigmas <= 0.0).any():
+        if constrained is None:
+            raise fault(
+                row,
+                "a hard constraint (sigma 0), expected a Gaussian noise model;"
+                " constrained_sigma=1e-6 would take it for a very sure measurement",
+            )
+        sigmas = np.where(sigmas <= 0.0, constrained, sigmas)
+    return np.diag(sigmas**-2.0)

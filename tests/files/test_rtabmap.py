@@ -1,0 +1,87 @@
+"""RTAB-Map's databases, made in the test as its schema says."""
+
+import sqlite3
+
+import numpy as np
+import pytest
+
+from pcm_jax import lie
+from pcm_jax.errors import FileFormatError
+from pcm_jax.files import read_graph
+
+INFORMATION = np.diag([100.0, 100, 100, 400, 400, 400])
+
+
+def blob(x, dtype=np.float32):
+    matrix = np.eye(4)[:3]
+    matrix[0, 3] = x
+    return matrix.astype(dtype).tobytes()
+
+
+@pytest.fixture
+def base(tmp_path):
+    """Two sessions of three poses, two closures between them, a landmark and a prior."""
+    path = tmp_path / "two.db"
+    with sqlite3.connect(path) as made:
+        made.execute(
+            "CREATE TABLE Node (id INTEGER PRIMARY KEY, map_id INTEGER, weight INTEGER,"
+            " stamp FLOAT, pose BLOB, ground_truth_pose BLOB)"
+        )
+        made.execute(
+            "CREATE TABLE Link (from_id INTEGER, to_id INTEGER, type INTEGER,"
+            " information_matrix BLOB NOT NULL, transform BLOB)"
+        )
+        for node in range(1, 7):
+            made.execute(
+                "INSERT INTO Node VALUES (?, ?, 0, ?, ?, ?)",
+                (node, int(node > 3), 1000.0 + node, blob(node - 1.0), blob(2.0 * node)),
+            )
+        weight = INFORMATION.tobytes()
+        rows = [(1, 2, 0, 1.0), (2, 3, 0, 1.0), (4, 5, 0, 1.0), (5, 6, 6, 1.0)]
+        rows += [(b, a, kind, -x) for a, b, kind, x in rows]  # stored at both ends
+        rows += [(4, 1, 1, 3.0), (6, 3, 4, 3.0), (1, -1, 8, 0.0), (1, 1, 7, 0.5)]
+        for first, second, kind, x in rows:
+            made.execute(
+                "INSERT INTO Link VALUES (?, ?, ?, ?, ?)", (first, second, kind, weight, blob(x))
+            )
+    made.close()
+    return path
+
+
+def test_sessions_are_robots(base):
+    with pytest.warns(UserWarning, match=r"skipped 1 lines \(1 landmark\)"):
+        graph = read_graph(base)
+    assert graph.names == ("session0", "session1")
+    first, second = graph.maps
+    assert second.ids.tolist() == [4, 5, 6]
+    assert [one.num_edges for one in graph.maps] == [2, 2]
+    np.testing.assert_allclose(first.information[0], INFORMATION)
+    np.testing.assert_allclose(lie.translation(lie.as_numpy(second.poses))[:, 0], [3, 4, 5])
+    np.testing.assert_allclose(second.stamps, [1004, 1005, 1006])
+    assert graph.closures.robot_a.tolist() == [1, 1]
+    assert graph.closures.pose_b.tolist() == [0, 2]
+    np.testing.assert_allclose(lie.translation(graph.closures.measurement)[:, 0], [3, 3])
+    np.testing.assert_allclose(lie.translation(graph.truth[0])[:, 0], [2, 4, 6])
+    assert first.priors.pose.tolist() == [0]
+
+
+def test_another_programs_database(tmp_path):
+    with sqlite3.connect(tmp_path / "other.db") as made:
+        made.execute("CREATE TABLE songs (name TEXT)")
+    made.close()
+    with pytest.raises(FileFormatError, match=r"other.db: no column Node.id, expected an RTAB-Map"):
+        read_graph(tmp_path / "other.db")
+
+
+def test_a_damaged_database(base):
+    base.write_bytes(base.read_bytes()[:2000])
+    with pytest.raises(FileFormatError, match=r"two.db: damaged database|no column"):
+        read_graph(base)
+
+
+def test_a_link_without_a_transform(base):
+    with sqlite3.connect(base) as made:
+        made.execute("UPDATE Link SET transform = ? WHERE type = 4", (b"12",))
+    made.close()
+    with pytest.raises(FileFormatError, match="link 6-3: expected 36 doubles and 12 floats"):
+        read_graph(base)
