@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 from pcm_jax.cli import _outputs as outputs
@@ -26,8 +27,15 @@ def run(options: Any) -> None:
 
 def _check_outputs(options: Any) -> None:
     inputs = [*options.files, *(options.closures or [])]
-    paths = [path for path in (options.output, options.report, options.plot) if path]
-    outputs.check_outputs(paths, inputs)
+    files = [options.rejected, options.report, options.plot]
+    if options.output:
+        from pcm_jax.cli._merged_files import check_folder, is_folder
+
+        if is_folder(options.output):
+            check_folder(options.output)
+        else:
+            files.insert(0, Path(options.output))
+    outputs.check_outputs([path for path in files if path], inputs)
     if options.plot:
         outputs.check_picture(options.plot)
 
@@ -91,12 +99,14 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
 
 def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
     """Writes the files asked for, and gives their paths."""
-    from pcm_jax.files import write_g2o
+    from pcm_jax.cli._merged_files import write_merged, write_rejected
     from pcm_jax.files.output import write_text
 
     if options.output:
-        write_g2o(options.output, result.graph)
-        yield options.output
+        yield from write_merged(options.output, result)
+    if options.rejected:
+        write_rejected(options.rejected, result)
+        yield options.rejected
     if options.report:
         write_text(options.report, outputs.json_text(report))
         yield options.report

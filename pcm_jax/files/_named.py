@@ -33,17 +33,15 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
     if not len(edges) or file.named is None:
         return LoopClosures.empty(graph.group), ()
     roster, called = Roster(graph.names), file.named
-    robots = []
-    for end in (0, 1):
-        names = [str(name) for name in called[:, end]]
-        robots.append(roster.indices(names, fault))
-        raise_first(
-            robots[end] < 0,
-            fault,
-            lambda row, names=names: (
-                f"there is no robot {names[row][:40]!r}, expected one of {roster.expected()}"
-            ),
-        )
+    count = len(edges)
+    names = [str(name) for name in called.T.ravel()]  # both ends together tell what numbers mean
+    found = roster.indices(names, lambda row, problem: fault(row % count, problem))
+    raise_first(
+        found < 0,
+        lambda row, problem: fault(row % count, problem),
+        lambda row: f"there is no robot {names[row][:40]!r}, expected one of {roster.expected()}",
+    )
+    robots = list(found.reshape(2, count))
     loops = (robots[0] == robots[1]) & (edges.ids[:, 0] == edges.ids[:, 1])
     raise_first(
         (robots[0] == robots[1]) & ~loops,

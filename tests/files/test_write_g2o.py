@@ -9,6 +9,7 @@ from pcm_jax.files import read_graph, write_g2o
 from pcm_jax.graph import PoseGraph, split
 from pcm_jax.lie import R1
 
+LABELS = [(ord("g") << 56 | ord(label) << 48) + np.arange(8) for label in "AB"]
 KEYS = {letter: (ord(letter) << 56) + np.arange(8) for letter in "abz"}
 
 
@@ -25,6 +26,8 @@ KEYS = {letter: (ord(letter) << 56) + np.arange(8) for letter in "abz"}
         (("z",), [KEYS["z"]]),
         (("not z",), [KEYS["z"]]),
         (("aa", "ab", "ac", "ad"), None),
+        (("A", "B"), LABELS),
+        (("left", "right"), LABELS),
     ],
 )
 def test_round_trip(tmp_path, make_robots, assert_same, group, names, known, ids, suffix):
