@@ -16,7 +16,7 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph
 
 
 def is_folder(output: str) -> bool:
-    """Whether an output is a folder of files: its name ends with a slash."""
+    """True where an output is a folder of files: its name ends with a slash."""
     return output.endswith(("/", "\\"))
 
 
