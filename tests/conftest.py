@@ -1,4 +1,4 @@
-"""Settings every test shares: 64-bit arithmetic, quick compilation, and where real data is looked for.
+"""Settings every test shares: 64-bit arithmetic, quick compilation, where real data is.
 
 Most of the suite's time is compilation. So programs are compiled with little optimisation, unless
 `XLA_FLAGS` is set (`XLA_FLAGS= pytest` compiles as users do), and each one once: a folder for
