@@ -12,21 +12,24 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import jax
+import jaxlie
+import pytest
+
 QUICK = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-os.environ.setdefault("XLA_FLAGS", QUICK)  # read when JAX starts its first program
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # else of the process that started this one
-    programs = tempfile.mkdtemp(prefix="compiled-")
-    atexit.register(shutil.rmtree, programs, ignore_errors=True)
-    os.environ |= {
-        "JAX_COMPILATION_CACHE_DIR": programs,  # read on JAX's import
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-        "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
-    }
+CACHE = "JAX_COMPILATION_CACHE_DIR"
+KEPT = {  # whatever its compilation took, and its size
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.0,
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": -1,
+}
 
-import jax  # noqa: E402
-import jaxlie  # noqa: E402
-import pytest  # noqa: E402
-
+os.environ.setdefault("XLA_FLAGS", QUICK)  # read with the first program
+if CACHE not in os.environ:  # else it is that of the process that started this one
+    os.environ[CACHE] = tempfile.mkdtemp(prefix="compiled-")
+    atexit.register(shutil.rmtree, os.environ[CACHE], ignore_errors=True)
+os.environ |= {name: str(value) for name, value in KEPT.items()}
+for name, value in {CACHE: os.environ[CACHE], **KEPT}.items():
+    jax.config.update(name.lower(), value)  # a plugin may have imported JAX before
 jax.config.update("jax_enable_x64", True)
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
