@@ -311,7 +311,7 @@ def _columns(
 
 def _grid(methods: Sequence[str], confidences: Sequence[float], world: dict[str, Any]) -> Grid:
     for method in methods:
-        kernel_of(method, "methods")
+        kernel_of(method, "methods", "some")
     if not len(methods) or not len(confidences):
         raise InputError("methods, confidences: expected one of each at least")
     parameters = inspect.signature(simulate_chains).parameters.values()
