@@ -51,9 +51,7 @@ from pcm_jax.arrays import host_device
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import SOLVERS, padded_size
-
-MOST_COMPARED = 256
-"""Closures of a pair, the weightiest, among which the medoid is sought."""
+from pcm_jax.merging._alignment import MOST_COMPARED, medoid_costs
 
 
 def merge_differentiable(
@@ -333,8 +331,7 @@ def _relative_anchors(
     """Each pair's total weight, and where its second map lies in the first, by the medoid.
 
     Closure u alone would put the second map at T_u = X_i z_u Y_k⁻¹. Believed is the one whose T_u
-    is the nearest to all others', weighted: least Σ_v w_v |T_u y_v − T_v y_v|, with y_v the
-    position that v measures.
+    is the nearest to all others', weighted, see `medoid_costs`.
     """
     placed, seen, low, high = _oriented(graph)
     kept = min(MOST_COMPARED, len(weights))
@@ -342,11 +339,7 @@ def _relative_anchors(
     def of_pair(pair: Int[Array, " 2"]) -> tuple[Array, Array]:
         share = jnp.where((low == pair[0]) & (high == pair[1]), weights, 0.0)
         w, rows = jax.lax.top_k(share, kept)
-        matrices = lie.as_matrix(lie.take(placed, rows))
-        turn, shift = matrices[:, :-1, :-1], matrices[:, :-1, -1]
-        images = jnp.einsum("uij,vj->uvi", turn, seen[rows]) + shift[:, None]
-        away = images - jnp.diagonal(images, axis1=0, axis2=1).T
-        cost = jnp.sqrt(jnp.sum(away * away, axis=-1)) @ w
+        cost = medoid_costs(lie.as_matrix(lie.take(placed, rows)), seen[rows], w)
         best = jnp.argmin(jnp.where(w > 0.0, cost, jnp.inf))
         return jnp.sum(share), lie.parameters(lie.take(placed, rows[best]))
 
