@@ -27,6 +27,7 @@ output          files that are written whole or not at all
 | kitti | a trajectory, 3D | yes | no | of each step: --sigmas M RAD | none | none | none |
 | open3d | Open3D's pose graph, uncertain edges as candidates | yes | .json | kept | none | none | none |
 | poses | trajectories as CSV with column names | yes | no | of each step: --sigmas M RAD | none | kept | none |
+| rosbag | ROS bags of pose_graph_tools_msgs/PoseGraph | yes | no | kept (covariances) | none | kept | none |
 | rtabmap | RTAB-Map's database | yes | no | kept | kept | kept | true poses |
 | toro | pose graphs, 2D and 3D | yes | no | kept, turned into the end frame | none | none | none |
 | tum | a trajectory, 3D | yes | no | of each step: --sigmas M RAD | none | kept | none |

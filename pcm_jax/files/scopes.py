@@ -126,8 +126,9 @@ def _by_letters(
         elif strict:
             raise _no_symbol(files[number])
     found = {number: _lettered(files[number]) for number in keyed}
+    chosen = [] if strict else keyed
     lone = conflicting_letters(
-        [files[number] for number in keyed], [found[number] for number in keyed]
+        [files[number] for number in chosen], [found[number] for number in chosen]
     )
     for place, number in enumerate(keyed):
         if place in lone:
