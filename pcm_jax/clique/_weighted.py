@@ -77,27 +77,41 @@ class WeightedGraph(BitGraph):
         return enough - self._covered(candidates, enough)[1]
 
     def _covered(self, candidates: int, budget: int) -> tuple[int, int]:
-        """Those with weight left, and what is left of the budget."""
+        """Those with weight left, and what is left of the budget if that is none."""
         strangers, single = self.strangers, self.single
         left = self.weights[:]
         while candidates:
-            label = candidates.bit_length()
-            eligible = candidates & strangers[label]
-            price, members = left[label], [label]
-            while eligible:
-                label = eligible.bit_length()
-                eligible &= strangers[label]
-                members.append(label)
-                # `min` would double the time of the search.
-                if left[label] < price:  # noqa: PLR1730
-                    price = left[label]
-            if price > budget:
-                break
+            first = candidates.bit_length()
+            price, gone = left[first], single[first]
+            # Sets of one or two, most in dense graphs, spare a list and a third of the time.
+            if eligible := candidates & strangers[first]:
+                second = eligible.bit_length()
+                if eligible := eligible & strangers[second]:
+                    members = [first, second]
+                    while eligible:
+                        label = eligible.bit_length()
+                        eligible &= strangers[label]
+                        members.append(label)
+                        # `min` would add half to the time of the search.
+                        if left[label] < price:  # noqa: PLR1730
+                            price = left[label]
+                    if left[second] < price:  # noqa: PLR1730
+                        price = left[second]
+                    gone = 0
+                    for label in members:
+                        left[label] = rest = left[label] - price
+                        if not rest:
+                            gone |= single[label]
+                elif (rest := left[second] - price) > 0:
+                    left[second] = rest
+                elif rest < 0:
+                    price, gone, left[first] = left[second], single[second], -rest
+                else:
+                    gone |= single[second]
             budget -= price
-            for label in members:
-                left[label] = rest = left[label] - price
-                if not rest:
-                    candidates ^= single[label]
+            if budget < 0:
+                break
+            candidates ^= gone
         return candidates, budget
 
 
