@@ -419,3 +419,13 @@ def test_warnings_are_inputs(write):
     with pytest.warns(InputWarning) as caught:
         read_graph(path)
     assert len(caught) == 3
+
+
+def test_information_that_lacks_directions(account):
+    """A planar closure in space: said so, with what can be done."""
+    planar = "2500 0 0 0 0 0 2500 0 0 0 0 0 0 0 0 0 0 0 0 0 10000"
+    lines = [*chain([0, 1, 2]), solid(0, 2, 2, information=planar)]
+    with pytest.raises(FileFormatError, match=r"g2o:3: .*rank 3 of 6: planar or 4-DoF.*--repair"):
+        account(lines)
+    graph, told = account(lines, reading=Reading(repair="clip"))
+    assert told.clipped == 1 and graph.maps[0].num_edges == 3
