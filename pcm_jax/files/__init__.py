@@ -21,7 +21,7 @@ output          files that are written whole or not at all
 | --- | --- | --- | --- | --- | --- | --- | --- |
 | csv | candidate closures | yes | .csv | kept; standard deviations too; the maps' median where none is given | none | none | kept (is_true) |
 | euroc | a trajectory, 3D | yes | no | of each step: --sigmas M RAD | none | kept | none |
-| g2o | pose graphs, 2D and 3D | yes | .g2o | kept | none | none | none |
+| g2o | pose graphs, 2D and 3D | yes | .g2o | kept | kept | none | none |
 | isam | measurements between poses, 2D and 3D | yes | no | kept, turned into the end frame | none | none | none |
 | jrl | several robots' maps and closures | yes | .jrl | kept (covariances) | kept | kept | kept, and true poses |
 | kitti | a trajectory, 3D | yes | no | of each step: --sigmas M RAD | none | none | none |
@@ -37,11 +37,12 @@ from pcm_jax.files.formats.candidates import write_candidates
 from pcm_jax.files.formats.g2o import write_g2o
 from pcm_jax.files.formats.gtsam_objects import from_gtsam, to_gtsam
 from pcm_jax.files.formats.tum import read_trajectory, read_tum, write_trajectory
-from pcm_jax.files.read import read_graph
+from pcm_jax.files.read import read_candidates, read_graph
 from pcm_jax.files.write import write_graph
 
 __all__ = [
     "from_gtsam",
+    "read_candidates",
     "read_graph",
     "read_trajectory",
     "read_tum",

@@ -87,6 +87,15 @@ def _once(closures: LoopClosures) -> tuple[LoopClosures, tuple[Copy, ...]]:
     return once, tuple(copies)
 
 
+def closures_of(
+    file: PoseFile, graph: MultiRobotGraph, skip_bad: bool
+) -> tuple[LoopClosures, list[str], tuple[Copy, ...]]:
+    """The closures of one file of candidates between a graph's maps, each once."""
+    closures, told = _tolerant(file, graph, skip_bad)
+    once, copies = _once(closures)
+    return once, told, copies
+
+
 def _tolerant(
     file: PoseFile, graph: MultiRobotGraph, skip_bad: bool
 ) -> tuple[LoopClosures, list[str]]:
