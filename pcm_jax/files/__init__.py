@@ -14,7 +14,7 @@ _named          candidates whose robots are named
 plausibility    doubts about how information was read
 account         what was read and how, for people
 assembly        from what files hold to one graph, closures counted once
-read, write     the front doors
+read, write     the front doors: `read_graph`, `read_candidates`, `write_graph`
 output          files that are written whole or not at all
 
 | format | holds | read | written | information | priors | times | labels |

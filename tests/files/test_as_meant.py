@@ -439,5 +439,5 @@ def test_candidates_between_maps_in_memory(write, account):
     assert closures.robot_a.tolist() == [0, 1] and closures.pose_b.tolist() == [0, 1]
     more = read_candidates(write(*BETWEEN["apart"], name="c.g2o"), graph.maps)
     assert (more.pose_a.tolist(), more.pose_b.tolist()) == ([0, 2], [0, 2])
-    with pytest.raises(FileFormatError, match="d.g2o:1: pose 7 is in 0 of the maps, expected in"):
+    with pytest.raises(FileFormatError, match=r"d.g2o:1: pose 7 is in 0 of the maps, expected in"):
         read_candidates(write(solid(0, 7, 1), name="d.g2o"), graph)

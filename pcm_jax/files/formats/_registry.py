@@ -120,8 +120,9 @@ def recognised(source: Source) -> Format:
 def _nearest(line: str) -> str:
     """The formats that a line comes closest to."""
     words = line.replace(",", " ").split()
-    tag = words[0].upper()
-    if tag.startswith(("VERTEX", "EDGE")):
+    if not words:
+        return ""
+    if words[0].upper().startswith(("VERTEX", "EDGE")):
         return "; g2o's lines begin with VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT or EDGE_SE3:QUAT"
     try:
         [float(word) for word in words]
