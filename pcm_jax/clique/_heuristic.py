@@ -68,8 +68,9 @@ def greedy_heavy_clique(
 ) -> Int[np.ndarray, " k"]:
     """The heaviest clique met by always adding the candidate of heaviest neighbourhood.
 
-    Starts are the vertices in the order of falling weight of the neighbourhood (ties by index),
-    for a bounded number of steps; of equally heavy cliques the first is kept.
+    The first clique is met by weight alone, in no time. Starts are then the vertices in the order
+    of falling weight of the neighbourhood (ties by index), for a bounded number of steps; of
+    equally heavy cliques the first is kept.
 
     Args:
         adjacency: symmetric bool [m, m] with a false diagonal, m > 0.
@@ -79,10 +80,11 @@ def greedy_heavy_clique(
     Returns:
         int64 [k], the vertices of the clique.
     """
-    best = np.array([weights.argmax()])
+    best = _greedy_from(adjacency, weights, int(weights.argmax()))
     try:
         reach = neighbourhood_weights(adjacency, weights, deadline=deadline)
-        best = _greedy_from(adjacency, reach, int(reach.argmax()))
+        other = _greedy_from(adjacency, reach, int(reach.argmax()))
+        best = max(best, other, key=lambda clique: float(weights[clique].sum()))
         heaviest = float(weights[best].sum())
         promising = np.flatnonzero(reach > heaviest)
         promising = promising[np.lexsort((-promising, reach[promising]))]
