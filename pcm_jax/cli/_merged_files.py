@@ -17,7 +17,7 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 
 
 def is_folder(output: str) -> bool:
-    """Whether an output is a folder of files: its name ends with a slash."""
+    """True where an output is a folder of files: its name ends with a slash."""
     return output.endswith(("/", "\\"))
 
 

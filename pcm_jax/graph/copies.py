@@ -89,7 +89,7 @@ def _direction(size: int) -> Float[np.ndarray, " size"]:
 
 
 def _same_pose(a: np.ndarray, b: np.ndarray) -> Bool[np.ndarray, " k"]:
-    """Whether two batches of rigid motions `[k, s, s]` agree as printed numbers do."""
+    """True where two batches of rigid motions `[k, s, s]` agree as printed numbers do."""
     turned = np.abs(a[:, :-1, :-1] - b[:, :-1, :-1]).max(axis=(1, 2), initial=0.0)
     places = np.abs(a[:, :-1, -1] - b[:, :-1, -1]).max(axis=1)
     size = np.maximum(np.abs(a[:, :-1, -1]).max(axis=1), np.abs(b[:, :-1, -1]).max(axis=1))

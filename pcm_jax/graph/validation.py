@@ -143,7 +143,7 @@ def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, 
 def _factored(
     matrices: Float[np.ndarray, "m d d"], good: Bool[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
-    """Which of the good ones LAPACK factors as well, whose rounding is another."""
+    """The good ones that LAPACK factors as well, whose rounding is another."""
     try:
         np.linalg.cholesky(np.asarray(matrices)[good])
     except np.linalg.LinAlgError:
