@@ -187,7 +187,7 @@ def _odd_scale(one: PoseGraph) -> Iterator[str]:
 def _square_fits_better(
     information: np.ndarray, residual: np.ndarray, squared: float, freedom: int
 ) -> bool:
-    """Whether chi-squared would be nearer to one if the information were squared."""
+    """True if chi-squared would be nearer to one if the information were squared."""
     weighed = np.einsum("eij,ej->ei", np.triu(information), residual)
     return abs(np.log(np.sum(weighed**2) / freedom)) < abs(np.log(squared / freedom))
 

@@ -128,7 +128,7 @@ def _tried(
 
 
 def _fits_better(other: dict[str, Any], report: dict[str, Any]) -> bool:
-    """Whether chi-squared is nearer to what noise as stated gives, as a factor."""
+    """True if chi-squared is nearer to what noise as stated gives, as a factor."""
     old, new = (one["solution"]["normalized_chi2"] for one in (report, other))
     return new is not None and new > 0.0 and abs(math.log(new)) < abs(math.log(old))
 

@@ -6,10 +6,12 @@ coordinates     a file's columns as transforms, with information over the tangen
 formats/        one module a format: how it is recognised by content, read and written
 pose_file       what one file holds, as arrays, and how its numbers are to be taken
 trajectories    trajectories as maps
-scopes          whose poses a file's ids are: the rules (_scope: their outcome; _shared_ids,
-                _conflicts, _components: three of the rules)
+_scope          whose poses a file's ids are: what the rules decide
+_shared_ids, _conflicts, _components     three of the rules
+scopes          the rules
 names           what robots are called, and what candidates may call them
-robots          from lines of all files (_table) to maps and closures
+_table          lines of all files, end to end
+robots          from these to maps and closures
 _named          candidates whose robots are named
 plausibility    doubts about how information was read
 account         what was read and how, for people

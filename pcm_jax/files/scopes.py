@@ -54,7 +54,7 @@ _TABLE = re.compile(r"# pcm_jax id-table (\S.*)")
 
 
 def scopes_of(files: Sequence[PoseFile], ids: str = "auto") -> tuple[list[PoseFile], list[Scope]]:
-    """How the ids of several files are meant, by the rules above.
+    """Decides how the ids of several files are meant, by the rules above.
 
     Args:
         files: what they hold.

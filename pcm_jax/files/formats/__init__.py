@@ -2,7 +2,8 @@
 
 _registry       `Format`, and which one a file is in
 _tags           the columns of lines that begin with a tag
-_tagged         the reader of such lines, and _priors of those that measure one pose
+_tagged         the reader of such lines
+_priors         the reader of lines that measure one pose
 g2o             pose graphs as g2o, and their writer
 toro, isam      the older text formats of pose graphs
 candidates      candidate closures as CSV

@@ -80,7 +80,7 @@ def _format_of(known: dict[str, Rows]) -> str:
 
 
 def _is_bare(tag: Tag, rows: Rows) -> bool:
-    """Whether every line of a tag ends where its information would begin."""
+    """True if every line of a tag ends where its information would begin."""
     return tag.edge and bool((rows.widths == tag.width - tag.triangle).all())
 
 
