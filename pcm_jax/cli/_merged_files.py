@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import write_candidates, write_g2o, write_trajectory
 from pcm_jax.files.output import check_target
 from pcm_jax.files.write import format_of_suffix, write_graph
-from pcm_jax.graph import LoopClosures, MultiRobotGraph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 
 
 def is_folder(output: str) -> bool:
@@ -75,7 +76,10 @@ def write_rejected(path: Path, result: Any) -> None:
 
 
 def part_of(graph: MultiRobotGraph, robots: Sequence[int]) -> MultiRobotGraph:
-    """The maps of some robots, in that order, and the closures among them."""
+    """The maps of some robots, in that order, and the closures among them.
+
+    Priors hold in their robot's own frame, and so only the first one's are kept.
+    """
     place = np.full(len(graph.maps), -1)
     place[list(robots)] = np.arange(len(robots))
     closures = graph.closures
@@ -84,7 +88,10 @@ def part_of(graph: MultiRobotGraph, robots: Sequence[int]) -> MultiRobotGraph:
     kept = closures[rows]
     ends = (a[rows], np.asarray(kept.pose_a), b[rows], np.asarray(kept.pose_b))
     return MultiRobotGraph(
-        tuple(graph.maps[robot] for robot in robots),
+        tuple(
+            graph.maps[robot] if robot == robots[0] else _without_priors(graph.maps[robot])
+            for robot in robots
+        ),
         LoopClosures.from_checked(
             ends,
             kept.measurement,
@@ -94,3 +101,7 @@ def part_of(graph: MultiRobotGraph, robots: Sequence[int]) -> MultiRobotGraph:
             kept.is_true,
         ),
     )
+
+
+def _without_priors(one: PoseGraph) -> PoseGraph:
+    return dataclasses.replace(one, priors=None)

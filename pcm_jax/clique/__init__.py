@@ -1,12 +1,16 @@
 """Step iii: maximum cliques, which measurements are pairwise consistent. Knows no poses.
 
 _adjacency      graphs as they are accepted, checked once at the entrance
+_weights        weights of nodes, checked, and as whole numbers
+_costs          squared distances that tell equals apart, checked, and gathered
 _bounds         what cannot matter: degrees and cores
 _heuristic      a first clique, greedily
 _local_search   a larger one
 _exact          a proof, by branch and bound
-_ties           one of several that are equally large
-maximum         `maximum_clique`, which walks through the above
+_weighted       the same for the heaviest
+_ties           one of several that are equally large, or heavy
+_heaviest       the walk through the above with weights
+maximum         `maximum_clique`, which walks through them
 result          `Clique`, with its certificate
 _bitset         sets of nodes as integers
 _words          sets of nodes as machine words, for kernels

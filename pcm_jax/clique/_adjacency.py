@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Int
 
 from pcm_jax.errors import InputError
 
@@ -43,6 +44,25 @@ def adjacency_matrix(
     np.fill_diagonal(adjacency, False)
     _check_symmetric(adjacency)
     return adjacency
+
+
+def induced(
+    matrix: Bool[np.ndarray, "m m"], vertices: Int[np.ndarray, " n"], *, deadline: float = np.inf
+) -> Bool[np.ndarray, "n n"]:
+    """The rows and columns of some vertices, ascending; the matrix itself where these are all.
+
+    Raises:
+        TimeoutError: at the deadline, a reading of `time.perf_counter`.
+    """
+    if len(vertices) == len(matrix):
+        return matrix
+    inside = np.empty((len(vertices), len(vertices)), matrix.dtype)
+    for start in range(0, len(vertices), _TILE):
+        if perf_counter() > deadline:
+            raise TimeoutError
+        rows = slice(start, start + _TILE)
+        inside[rows] = matrix[vertices[rows]].take(vertices, axis=1)
+    return inside
 
 
 def _of_networkx(graph: Any) -> np.ndarray:

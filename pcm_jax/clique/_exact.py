@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax.clique._bitset import neighbour_sets
 from pcm_jax.clique._bounds import degeneracy_order
@@ -32,16 +32,32 @@ class BitGraph:
 
     Attributes:
         vertices: int64 [n], the vertex of label v at v - 1.
-        degeneracy: of the graph.
+        degeneracy: of the graph, see `degeneracy_order`.
         everything: the set of all labels.
         neighbours: per label, the set of those adjacent.
         strangers: per label, the set of those neither adjacent nor the label itself.
         single: per label, the set of it alone.
     """
 
-    def __init__(self, adjacency: Bool[np.ndarray, "n n"]):
-        self.vertices, self.degeneracy = degeneracy_order(adjacency)
-        self.neighbours = neighbour_sets(adjacency[np.ix_(self.vertices, self.vertices)])
+    def __init__(
+        self,
+        adjacency: Bool[np.ndarray, "n n"],
+        weights: Float[np.ndarray, " n"] | None = None,
+        *,
+        deadline: float = np.inf,
+    ):
+        """Builds the sets.
+
+        Args:
+            adjacency: bool [n, n].
+            weights: by which the order is to be, see `degeneracy_order`.
+            deadline: reading of `time.perf_counter` at which to give up.
+
+        Raises:
+            TimeoutError: at the deadline.
+        """
+        self.vertices, self.degeneracy = degeneracy_order(adjacency, weights, deadline=deadline)
+        self.neighbours = neighbour_sets(adjacency, self.vertices, deadline=deadline)
         self.everything = (1 << len(self.vertices)) - 1
         self.single = [0, *(1 << bit for bit in range(len(self.vertices)))]
         self.strangers = [
@@ -66,6 +82,14 @@ class BitGraph:
             found.append(labels.bit_length())
             labels ^= self.single[found[-1]]
         return found
+
+    def value(self, labels: int) -> int:
+        """The size of a set: what a clique is to have much of."""
+        return labels.bit_count()
+
+    def beyond(self, value: int) -> int:
+        """Finds labels of which every clique of more than `value` has one."""
+        return self.uncoloured(self.everything, value)
 
     def uncoloured(self, candidates: int, colours: int) -> int:
         """Finds what of `candidates` a greedy colouring leaves without one of `colours` colours."""

@@ -22,20 +22,21 @@ _STEPS_PER_BRANCH = 8
 
 
 def improved_clique(graph: BitGraph, clique: list[int], *, deadline: float) -> list[int]:
-    """The largest clique met in some steps from `clique`: itself, if none is larger.
+    """The largest (heaviest) clique met in some steps from `clique`: itself, if none is larger.
 
     No step is taken from a clique that a colouring proves to be a maximum one.
 
     Args:
-        graph: the graph.
+        graph: the graph; a `WeightedGraph` asks for weight instead of size.
         clique: the labels of a clique.
         deadline: reading of `time.perf_counter` at which to stop.
     """
     single, count = graph.single, len(graph.vertices)
     generator = random.Random(0)  # the same graph, the same walk
     current = best = sum(single[label] for label in clique)
+    highest = graph.value(best)
     removed = 0  # since the last restart: a swap that brought one back would be undone
-    branches = graph.uncoloured(graph.everything, len(clique)).bit_count()
+    branches = graph.beyond(highest).bit_count()
     steps = min(_STEPS_PER_BRANCH, _OPERATIONS_PER_BRANCH / len(clique)) * branches
     for _ in range(int(steps)):
         if perf_counter() > deadline:
@@ -51,8 +52,8 @@ def improved_clique(graph: BitGraph, clique: list[int], *, deadline: float) -> l
             label = generator.randint(1, count)
             current = current & graph.neighbours[label] | single[label]
             removed = 0
-        if current.bit_count() > best.bit_count():
-            best, removed = current, 0
+        if (value := graph.value(current)) > highest:
+            best, highest, removed = current, value, 0
     return graph.members(best)
 
 

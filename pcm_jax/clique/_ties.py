@@ -1,8 +1,9 @@
-"""One of several maximum cliques: by index, or by total squared distance and then by index.
+"""One of several maximum or heaviest cliques: by index, or by total squared distance, then index.
 
 By index means the clique whose sorted tuple of vertices is lexicographically the smallest. It is
 settled vertex by vertex: the smallest vertex that some clique of the right size contains, then
-the next given that one, each a yes-or-no search ended by its first success.
+the next given that one, each a yes-or-no search ended by its first success. Of equally heavy
+cliques the search for them remembers all, if they are few: then it is a comparison.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
 import numpy as np
 from jaxtyping import Float
 
 from pcm_jax.clique._exact import BitGraph, largest_clique
+from pcm_jax.clique._weighted import Heaviest, WeightedGraph, clique_of_weight
 
 # Totals that differ by less than this, relatively, differ by rounding: they are ties.
 _ROUNDING = 1e-12
@@ -60,8 +63,15 @@ def smallest_by_total(
     Returns:
         labels.
     """
-    search = _CheapestClique(graph, squared, len(clique), deadline)
-    while (cheaper := search.below(search.total(clique), [], graph.everything)) is not None:
+    return _cheapest(partial(_CheapestClique, graph, squared, len(clique), deadline), clique)
+
+
+def _cheapest(prepared: Callable[[], _CheapestClique], clique: list[int]) -> list[int]:
+    try:
+        search = prepared()
+    except TimeoutError:
+        return clique
+    while (cheaper := search.below(search.total(clique), [], search.graph.everything)) is not None:
         clique = cheaper
     limit = search.total(clique)
 
@@ -69,7 +79,53 @@ def smallest_by_total(
         found = search.below(limit, chosen, candidates, or_equal=True)
         return None if found is None else found[len(chosen) :]
 
-    return _first_by_index(graph, clique, no_dearer, deadline)
+    return _first_by_index(search.graph, clique, no_dearer, search.deadline)
+
+
+def _cheapest_of(squared: np.ndarray, cliques: list[list[int]], deadline: float) -> list[list[int]]:
+    totals: list[float] = []
+    for clique in cliques:
+        if totals and perf_counter() > deadline:
+            break
+        totals.append(_total(squared, clique))
+    limit = min(totals) + _ROUNDING * abs(min(totals))
+    return [clique for clique, total in zip(cliques, totals, strict=False) if total <= limit]
+
+
+def first_of_heaviest(
+    graph: WeightedGraph,
+    found: Heaviest,
+    deadline: float,
+    squared: Float[np.ndarray, "n n"] | None = None,
+) -> list[int]:
+    """The first of all cliques that are equally heavy: by least total if asked for, then by index.
+
+    Args:
+        graph: the graph.
+        found: its heaviest cliques, by a search that is through.
+        deadline: as in `smallest_by_index`.
+        squared: as in `smallest_by_total`, and at least 0.
+
+    Returns:
+        labels.
+    """
+    cliques = [clique for _, clique in found.equal()]
+    if squared is not None:
+        cliques = _cheapest_of(squared, cliques, deadline)
+    first = min(cliques, key=lambda clique: sorted(graph.vertices_of(clique).tolist()))
+    if found.complete:
+        return first
+    lightest = found.weight - found.slack(found.weight)
+    if squared is not None:
+        return _cheapest(partial(_CheapestHeavyClique, graph, squared, lightest, deadline), first)
+
+    def heavy_clique(chosen: list[int], candidates: int) -> list[int] | None:
+        missing = lightest - sum(graph.weights[label] for label in chosen)
+        if missing <= 0:
+            return []
+        return clique_of_weight(graph, candidates, missing, deadline=deadline)
+
+    return _first_by_index(graph, first, heavy_clique, deadline)
 
 
 def _first_by_index(
@@ -120,19 +176,27 @@ class _CheapestClique:
     """
 
     def __init__(self, graph: BitGraph, squared: np.ndarray, size: int, deadline: float):
+        """Sorts the edges of every vertex, for cliques of at most `size`.
+
+        Raises:
+            TimeoutError: at the deadline.
+        """
         self.graph, self.squared, self.size, self.deadline = graph, squared, size, deadline
-        edges = np.full(squared.shape, np.inf)
+        self.half_smallest = np.zeros((len(squared), max(size, 1)))
         for label in range(1, len(graph.neighbours)):
-            near = _positions(graph.neighbours[label])
-            edges[label - 1, near] = squared[label - 1, near]
-        sums = np.cumsum(np.sort(edges, axis=1)[:, : max(size - 1, 0)], axis=1)
-        self.half_smallest = 0.5 * np.pad(sums, ((0, 0), (1, 0)))
+            if perf_counter() > deadline:
+                raise TimeoutError
+            near = np.sort(squared[label - 1, _positions(graph.neighbours[label])])[: size - 1]
+            self.half_smallest[label - 1, 1:] = np.inf
+            self.half_smallest[label - 1, 1 : len(near) + 1] = 0.5 * np.cumsum(near)
 
     def total(self, labels: list[int]) -> float:
         """The sum over unordered pairs, rounded once, whatever the order of the labels."""
-        positions = np.array(labels, int) - 1
-        block = self.squared[np.ix_(positions, positions)]
-        return math.fsum(block[np.triu_indices(len(labels), 1)].tolist())
+        return _total(self.squared, labels)
+
+    def finished(self, chosen: list[int]) -> bool:
+        """True where a clique is one of those among which the cheapest is looked for."""
+        return len(chosen) == self.size
 
     def below(
         self, limit: float, chosen: list[int], candidates: int, *, or_equal: bool = False
@@ -144,7 +208,7 @@ class _CheapestClique:
         stack = [self._node(chosen, candidates, self.total(chosen), cost, limit)]
         while stack and perf_counter() < self.deadline:
             node = stack[-1]
-            if len(node.chosen) == self.size and self.total(node.chosen) <= limit:
+            if self.finished(node.chosen) and self.total(node.chosen) <= limit:
                 return node.chosen
             position = next(node.branches, None)
             if position is None:
@@ -162,7 +226,7 @@ class _CheapestClique:
     ) -> _Node:
         missing = self.size - len(chosen)
         branches = np.empty(0, np.int64)
-        classes = self._colour_classes(candidates) if missing else []
+        classes = list(_colour_classes(self.graph, candidates)) if missing else []
         if len(classes) >= missing > 0:
             gain = cost + self.half_smallest[:, missing - 1]
             smallest = np.sort([gain[members].min() for members in classes])[:missing]
@@ -172,13 +236,66 @@ class _CheapestClique:
                 branches = branches[np.argsort(gain[branches], kind="stable")]
         return _Node(chosen, candidates, total, cost, iter(branches.tolist()))
 
-    def _colour_classes(self, candidates: int) -> list[np.ndarray]:
-        classes = []
-        while candidates:
-            rest = self.graph.uncoloured(candidates, 1)
-            classes.append(_positions(candidates ^ rest))
-            candidates = rest
-        return classes
+
+class _CheapestHeavyClique(_CheapestClique):
+    """The same among the cliques of at least some weight.
+
+    A colour class gives at most the weight of its heaviest member, which tells how many vertices
+    are missing at least, and each unit of weight at no less than its members' smallest ratio of
+    squared distance to weight: the cheapest units that make up the missing weight are the bound.
+    """
+
+    def __init__(self, graph: WeightedGraph, squared: np.ndarray, lightest: int, deadline: float):
+        largest = sum(1 for _ in _colour_classes(graph, graph.everything))
+        super().__init__(graph, squared, largest, deadline)
+        self.heavy, self.lightest = graph, lightest
+        self.weights = np.array(graph.weights[1:], np.float64)
+
+    def missing(self, chosen: list[int]) -> int:
+        """The weight in units that is to come."""
+        return self.lightest - sum(self.heavy.weights[label] for label in chosen)
+
+    def finished(self, chosen: list[int]) -> bool:
+        """True where a clique is heavy enough."""
+        return self.missing(chosen) <= 0
+
+    def _node(
+        self, chosen: list[int], candidates: int, total: float, cost: np.ndarray, limit: float
+    ) -> _Node:
+        missing, branches = self.missing(chosen), np.empty(0, np.int64)
+        needed = self.heavy.uncovered(candidates, missing - 1) if missing > 0 else 0
+        if needed:
+            classes = list(_colour_classes(self.graph, candidates))
+            most = np.array([self.weights[members].max() for members in classes])
+            least = missing * (1 - _ROUNDING)
+            others = int((np.cumsum(np.sort(most)[::-1]) >= least).argmax())
+            gain = cost + self.half_smallest[:, min(others, self.size - 1)]
+            ratio = [(gain[members] / self.weights[members]).min() for members in classes]
+            if total + _filled(np.array(ratio), most, least) <= limit:
+                branches = _positions(needed)
+                branches = branches[np.argsort(gain[branches], kind="stable")]
+        return _Node(chosen, candidates, total, cost, iter(branches.tolist()))
+
+
+def _filled(price: np.ndarray, most: np.ndarray, missing: float) -> float:
+    """The least price of so many units, of which each class has no more than `most`."""
+    order = np.argsort(price, kind="stable")
+    taken = np.minimum(most[order], np.maximum(missing - (np.cumsum(most[order]) - most[order]), 0))
+    used = taken > 0
+    return float((price[order][used] * taken[used]).sum())
+
+
+def _total(squared: np.ndarray, labels: list[int]) -> float:
+    positions = np.array(labels, int) - 1
+    block = squared[np.ix_(positions, positions)]
+    return math.fsum(block[np.triu_indices(len(labels), 1)].tolist())
+
+
+def _colour_classes(graph: BitGraph, candidates: int) -> Iterator[np.ndarray]:
+    while candidates:
+        rest = graph.uncoloured(candidates, 1)
+        yield _positions(candidates ^ rest)
+        candidates = rest
 
 
 def _positions(labels: int) -> np.ndarray:

@@ -1,19 +1,22 @@
-"""The entrance: a maximum clique with its certificate."""
+"""The entrance: a maximum clique, or the heaviest one, with its certificate."""
 
 from __future__ import annotations
 
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Num
 
-from pcm_jax.clique._adjacency import adjacency_matrix
-from pcm_jax.clique._bounds import core, degrees
+from pcm_jax.clique._adjacency import adjacency_matrix, induced
+from pcm_jax.clique._bounds import core, degrees, most_members
+from pcm_jax.clique._costs import checked_squared, symmetric_costs
 from pcm_jax.clique._exact import BitGraph, largest_clique
+from pcm_jax.clique._heaviest import heaviest_clique, heavy_clique
 from pcm_jax.clique._heuristic import greedy_clique
 from pcm_jax.clique._local_search import improved_clique
 from pcm_jax.clique._ties import smallest_by_index, smallest_by_total
+from pcm_jax.clique._weights import checked_weights
 from pcm_jax.clique.result import Clique
 from pcm_jax.errors import InputError
 
@@ -27,13 +30,16 @@ def maximum_clique(
     graph: Bool[np.ndarray, "m m"] | Bool[Array, "m m"] | networkx.Graph,
     *,
     method: str = "exact",
+    weights: Num[np.ndarray, " m"] | Num[Array, " m"] | None = None,
     time_limit: float | None = None,
     tie_break: Float[np.ndarray, "m m"] | Float[Array, "m m"] | None = None,
 ) -> Clique:
-    """Finds a maximum clique of a graph, with a certificate.
+    """Finds a maximum clique of a graph, or the heaviest one, with a certificate.
 
         clique = pcm_jax.maximum_clique(consistent)
         clique.members, clique.optimal
+        clique = pcm_jax.maximum_clique(consistent, weights=scores)
+        clique.weight, clique.weight_bound
 
     The result depends on the graph alone: of several maximum cliques, `"exact"` returns the one
     whose sorted tuple of vertices is lexicographically the smallest ("ties by index"), or, given
@@ -46,6 +52,7 @@ def maximum_clique(
             0..m-1.
         method: `"exact"`, or `"heuristic"` (HeuPatt of Pattabiraman et al. 2015; the certificate
             then says `optimal` only if degrees or a colouring prove it).
+        weights: floats or integers [m], finite and at least 0.
         time_limit: seconds; when they are over, the best clique found so far is returned.
         tie_break: squared distances [m, m]; a pair counts with the larger of its two directions.
 
@@ -54,8 +61,9 @@ def maximum_clique(
 
     Raises:
         InputError: a graph that is not a symmetric bool matrix, an unknown method, a negative
-            time limit; squared distances of another shape, not finite on an edge, or given with
-            another method than `"exact"`.
+            time limit; weights of another shape, negative or not finite; squared distances of
+            another shape, not finite on an edge (with weights: negative), or given with another
+            method than `"exact"`.
     """
     start = perf_counter()
     deadline = start + _checked_limit(time_limit)
@@ -64,48 +72,80 @@ def maximum_clique(
     if tie_break is not None and method != "exact":
         raise InputError(f"tie_break: given with method {method!r}, expected method 'exact'")
     adjacency = adjacency_matrix(graph)
-    squared = None if tie_break is None else _checked_squared(tie_break, adjacency)
-    if adjacency.shape[0] == 0:
-        found, upper_bound = np.empty(0, np.int64), 0
-    elif method == "heuristic":
-        found, upper_bound = _heuristic(adjacency, deadline)
+    given = None if weights is None else checked_weights(weights, len(adjacency))
+    least = -np.inf if given is None else 0.0
+    squared = None if tie_break is None else checked_squared(tie_break, adjacency, least=least)
+    degree = degrees(adjacency)
+    if given is None or given.equal:
+        search = _heuristic if method == "heuristic" else _exact
+        found, most = search(adjacency, degree, squared, deadline)
+        optimal = len(found) == most
+        weight, bound = (len(found), most) if given is None else given.certificate(found, most)
     else:
-        found, upper_bound = _exact(adjacency, squared, deadline)
-    return _certified(adjacency, found, upper_bound, start)
+        search = heavy_clique if method == "heuristic" else heaviest_clique
+        found, units = search(adjacency, given, squared, deadline)
+        most = most_members(degree)
+        weight, bound = given.certificate(found, most, units)
+        optimal = weight == bound
+    members = _checked_members(adjacency, found)
+    seconds = perf_counter() - start
+    return Clique(members, len(found), optimal, most, seconds, weight, bound)
 
 
-def _heuristic(adjacency: np.ndarray, deadline: float) -> tuple[Int[np.ndarray, " k"], int]:
-    found = greedy_clique(adjacency, deadline)
-    rest = core(adjacency, len(found))
+def _heuristic(
+    adjacency: np.ndarray, degree: np.ndarray, _: np.ndarray | None, deadline: float
+) -> tuple[Int[np.ndarray, " k"], int]:
+    if len(degree) == 0:
+        return np.empty(0, np.int64), 0
+    found = greedy_clique(adjacency, deadline, degree)
+    rest = core(adjacency, len(found), degree, deadline=deadline)
     if rest.size == 0:
         return found, len(found)
-    graph = BitGraph(adjacency[np.ix_(rest, rest)])
+    try:
+        graph = BitGraph(induced(adjacency, rest, deadline=deadline), deadline=deadline)
+    except TimeoutError:
+        return found, most_members(degree)
     return found, max(len(found), _cheap_bound(graph, graph.everything))
 
 
 def _exact(
-    adjacency: np.ndarray, squared: np.ndarray | None, deadline: float
+    adjacency: np.ndarray, degree: np.ndarray, squared: np.ndarray | None, deadline: float
 ) -> tuple[Int[np.ndarray, " k"], int]:
-    found = greedy_clique(adjacency, deadline)
+    if len(degree) == 0:
+        return np.empty(0, np.int64), 0
+    found = greedy_clique(adjacency, deadline, degree)
     # Every clique at least as large is inside: enough for the proof and for the ties.
-    rest = core(adjacency, len(found) - 1)
+    rest = core(adjacency, len(found) - 1, degree, deadline=deadline)
     if rest.size == len(found):
         return found, len(found)
-    if perf_counter() > deadline:
-        return found, int(degrees(adjacency).max()) + 1
-    graph = BitGraph(adjacency[np.ix_(rest, rest)])
+    try:
+        graph = BitGraph(induced(adjacency, rest, deadline=deadline), deadline=deadline)
+    except TimeoutError:
+        return found, most_members(degree)
     labels = graph.labels_of(np.searchsorted(rest, found))
     labels = improved_clique(graph, labels, deadline=deadline)
     outcome = largest_clique(graph, graph.everything, len(labels), deadline=deadline)
     labels = outcome.labels or labels
     upper_bound = max(len(labels), _cheap_bound(graph, outcome.unsettled))
     if upper_bound == len(labels) and perf_counter() < deadline:
-        if squared is None:
-            labels = smallest_by_index(graph, labels, deadline)
-        else:
-            order = rest[graph.vertices]
-            labels = smallest_by_total(graph, squared[np.ix_(order, order)], labels, deadline)
+        labels = _one_of_largest(graph, rest, squared, labels, deadline)
     return rest[graph.vertices_of(labels)], upper_bound
+
+
+def _one_of_largest(
+    graph: BitGraph,
+    inside: np.ndarray,
+    squared: np.ndarray | None,
+    labels: list[int],
+    deadline: float,
+) -> list[int]:
+    if squared is None:
+        return smallest_by_index(graph, labels, deadline)
+    try:
+        costs = symmetric_costs(squared, inside[graph.vertices], deadline=deadline)
+    except TimeoutError:
+        return labels
+    return smallest_by_total(graph, costs, labels, deadline)
 
 
 def _cheap_bound(graph: BitGraph, candidates: int) -> int:
@@ -120,25 +160,11 @@ def _checked_limit(time_limit: float | None) -> float:
     return float(time_limit)
 
 
-def _checked_squared(tie_break: Any, adjacency: np.ndarray) -> np.ndarray:
-    squared = np.asarray(tie_break, dtype=np.float64)
-    if squared.shape != adjacency.shape:
-        raise InputError(
-            f"tie_break: shape {squared.shape}, expected that of the graph, {adjacency.shape}"
-        )
-    squared = np.where(adjacency, np.maximum(squared, squared.T), 0.0)
-    if not np.isfinite(squared).all():
-        i, j = np.argwhere(~np.isfinite(squared))[0]
-        raise InputError(f"tie_break: [{i}, {j}] is not finite, expected a number on every edge")
-    return squared
-
-
-def _certified(adjacency: np.ndarray, found: np.ndarray, upper_bound: int, start: float) -> Clique:
-    """The result, after the check that it is a clique at all."""
+def _checked_members(adjacency: np.ndarray, found: np.ndarray) -> Bool[np.ndarray, " m"]:
+    """The mask, after the check that it is a clique at all."""
     pairs = adjacency[np.ix_(found, found)]
     if np.count_nonzero(pairs) != len(found) * (len(found) - 1):
         raise RuntimeError("the search returned vertices that are not a clique: a bug")
-    members = np.zeros(adjacency.shape[0], bool)
+    members = np.zeros(len(adjacency), bool)
     members[found] = True
-    size = int(members.sum())
-    return Clique(members, size, size == upper_bound, upper_bound, perf_counter() - start)
+    return members

@@ -75,6 +75,27 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
     return closures, tuple(notes)
 
 
+def named_by_ids(file: PoseFile, graph: MultiRobotGraph) -> np.ndarray:
+    """The robots by name, object `[k, 2]`, of edges whose ids exactly one map has.
+
+    Raises:
+        FileFormatError: for an id that no map has, or several have.
+    """
+    ids = file.edges.ids
+    holds = np.array([np.isin(ids, one.ids) for one in graph.maps])
+    count = holds.sum(axis=0)
+    raise_first(
+        (count != 1).any(axis=1),
+        line_fault(file.path, file.edges.line),
+        lambda row: (
+            f"pose {ids[row][count[row] != 1][0]} is in {count[row][count[row] != 1][0]} of the"
+            " maps, expected in one"
+        ),
+    )
+    names = np.array(graph.names, object)
+    return names[np.argmax(holds, axis=0)] if ids.size else np.zeros((0, 2), object)
+
+
 def _median_information(maps: tuple[PoseGraph, ...]) -> Float[np.ndarray, "d d"]:
     """Diagonal, of the median standard deviation of the maps' edges in each direction."""
     information = np.concatenate([np.asarray(graph.information) for graph in maps])

@@ -54,7 +54,7 @@ _TABLE = re.compile(r"# pcm_jax id-table (\S.*)")
 
 
 def scopes_of(files: Sequence[PoseFile], ids: str = "auto") -> tuple[list[PoseFile], list[Scope]]:
-    """How the ids of several files are meant, by the rules above.
+    """Decides how the ids of several files are meant, by the rules above.
 
     Args:
         files: what they hold.
@@ -126,8 +126,9 @@ def _by_letters(
         elif strict:
             raise _no_symbol(files[number])
     found = {number: _lettered(files[number]) for number in keyed}
+    chosen = [] if strict else keyed
     lone = conflicting_letters(
-        [files[number] for number in keyed], [found[number] for number in keyed]
+        [files[number] for number in chosen], [found[number] for number in chosen]
     )
     for place, number in enumerate(keyed):
         if place in lone:

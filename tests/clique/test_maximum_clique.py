@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 
 import hypothesis
 import hypothesis.strategies as st
@@ -187,27 +186,6 @@ def test_cliques_deeper_than_the_recursion_limit():
     assert members(cheaper) == tuple(np.delete(np.arange(1100), 3))
 
 
-def test_time_limit_returns_in_time_with_a_valid_bound():
-    adjacency = random_graph(400, 0.9, 1)
-    reference = maximum_clique(adjacency, time_limit=0.0)
-    for options in ({}, {"tie_break": np.ones(adjacency.shape)}):
-        start = time.perf_counter()
-        clique = maximum_clique(adjacency, time_limit=0.2, **options)
-        assert time.perf_counter() - start < 1.0
-        assert not clique.optimal
-        assert reference.size <= clique.size < clique.upper_bound <= 200
-        assert is_clique(adjacency, clique.members)
-
-
-def test_bound_of_an_unfinished_search_holds():
-    for limit in (0.0, 0.002, 0.01):
-        for seed in range(5):
-            adjacency = random_graph(120, 0.7, seed)
-            cut, full = maximum_clique(adjacency, time_limit=limit), maximum_clique(adjacency)
-            assert cut.size <= full.size <= cut.upper_bound
-            assert cut.optimal == (cut.size == cut.upper_bound)
-
-
 def test_an_unfinished_search_is_bounded_wherever_it_stops(monkeypatch):
     for seed in range(30):
         adjacency = random_graph(14, 0.5, seed)
@@ -233,36 +211,23 @@ def test_totals_that_differ_by_rounding_are_ties():
     assert members(maximum_clique(graph, tie_break=squared)) == (0, 1, 2)
 
 
-def test_time_limit_holds_for_the_choice_among_equals():
-    # 3^40 maximum cliques whose totals differ: the size is proven at once, the cheapest is not.
-    adjacency = complete_multipartite(40, 3)
-    squared = np.random.default_rng(0).random(adjacency.shape)
-    start = time.perf_counter()
-    clique = maximum_clique(adjacency, tie_break=squared, time_limit=0.3)
-    assert time.perf_counter() - start < 1.5
-    assert clique.optimal
-    assert clique.size == 40
-
-
-@pytest.mark.parametrize(("size", "planted", "seconds"), [(1000, 150, 1.0), (3000, 300, 3.0)])
-def test_planted_clique_is_found_and_proven_quickly(size, planted, seconds):
-    adjacency = planted_graph(size, planted, 0.05, 7)
-    start = time.perf_counter()
-    clique = maximum_clique(adjacency)
-    assert time.perf_counter() - start < seconds
+@pytest.mark.parametrize(("size", "planted"), [(1000, 150), (3000, 300)])
+def test_planted_clique_is_found_and_proven(size, planted):
+    clique = maximum_clique(planted_graph(size, planted, 0.05, 7))
     assert clique.optimal
     assert clique.size == planted
 
 
-def test_the_paper_s_proportions_take_milliseconds():
+def test_the_paper_s_proportions_take_a_handful_of_steps(monkeypatch):
     # 15 true, two groups of 5 aliased and 90 random measurements.
     adjacency = random_graph(115, 0.03, 2)
     for group in (slice(0, 15), slice(15, 20), slice(20, 25)):
         adjacency[group, group] = True
     np.fill_diagonal(adjacency, False)
-    seconds = min(maximum_clique(adjacency).seconds for _ in range(5))
+    clock = itertools.count()
+    monkeypatch.setattr(exact, "perf_counter", clock.__next__)
     assert members(maximum_clique(adjacency)) == tuple(range(15))
-    assert seconds < 0.05
+    assert next(clock) < 20  # nodes of the search
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from pcm_jax import lie, merge
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
-from pcm_jax.files import read_graph
+from pcm_jax.files import read_candidates, read_graph
 from pcm_jax.files.pose_file import Reading
 from pcm_jax.files.read import read_with_account
 
@@ -419,3 +419,25 @@ def test_warnings_are_inputs(write):
     with pytest.warns(InputWarning) as caught:
         read_graph(path)
     assert len(caught) == 3
+
+
+def test_information_that_lacks_directions(account):
+    """A planar closure in space: said so, with what can be done."""
+    planar = "2500 0 0 0 0 0 2500 0 0 0 0 0 0 0 0 0 0 0 0 0 10000"
+    lines = [*chain([0, 1, 2]), solid(0, 2, 2, information=planar)]
+    with pytest.raises(FileFormatError, match=r"g2o:3: .*rank 3 of 6: planar or 4-DoF.*--repair"):
+        account(lines)
+    graph, told = account(lines, reading=Reading(repair="clip"))
+    assert told.clipped == 1 and graph.maps[0].num_edges == 3
+
+
+def test_candidates_between_maps_in_memory(write, account):
+    graph, _ = account(*PLAIN)
+    rest = f"0,2,0,0,0,0,1,{SOLID.replace(' ', ',')}"
+    csv = write(f"a,0,b,100,{rest}", f"b,101,a,1,{rest}", name="c.csv")
+    closures = read_candidates(csv, graph)
+    assert closures.robot_a.tolist() == [0, 1] and closures.pose_b.tolist() == [0, 1]
+    more = read_candidates(write(*BETWEEN["apart"], name="c.g2o"), graph.maps)
+    assert (more.pose_a.tolist(), more.pose_b.tolist()) == ([0, 2], [0, 2])
+    with pytest.raises(FileFormatError, match=r"d.g2o:1: pose 7 is in 0 of the maps, expected in"):
+        read_candidates(write(solid(0, 7, 1), name="d.g2o"), graph)

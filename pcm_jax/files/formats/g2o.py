@@ -205,6 +205,22 @@ def _body(graph: MultiRobotGraph, keys: list[np.ndarray]) -> Iterable[str]:
     closures = graph.closures
     ends = closure_keys(graph, keys)
     yield from _lines("EDGE", ends, closures.measurement, closures.information)
+    yield from _prior_lines(graph, keys)
+
+
+def _prior_lines(graph: MultiRobotGraph, keys: list[np.ndarray]) -> Iterable[str]:
+    """Priors, after all that GTSAM's readers know."""
+    held = [(one.priors, ids) for one, ids in zip(graph.maps, keys, strict=True) if one.priors]
+    solid = graph.group is jaxlie.SE3
+    if held and solid:
+        yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
+    tag, offset = ("EDGE_SE3_PRIOR", " 0") if solid else ("EDGE_PRIOR_SE2", "")
+    for priors, ids in held:
+        numbers = coordinates.columns(np.asarray(lie.parameters(priors.measurement)))
+        triangle = coordinates.upper_triangle(np.asarray(priors.information))
+        rows = np.concatenate([numbers, triangle], axis=1).tolist()
+        for pose, row in zip(ids[priors.pose].tolist(), rows, strict=True):
+            yield f"{tag} {pose}{offset} {' '.join(map(repr, row))}"
 
 
 def closure_keys(graph: MultiRobotGraph, keys: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -239,5 +255,6 @@ G2O = register(
         write=write_g2o,
         suffixes=(".g2o",),
         information="kept",
+        priors="kept",
     )
 )

@@ -1,0 +1,118 @@
+"""Time limits by a clock that moves on by one at every reading: none of it is the machine's."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+from sample_graphs import complete_multipartite, is_clique, planted_graph, random_graph
+
+from pcm_jax.clique import maximum_clique
+
+MODULES = [
+    importlib.import_module(f"pcm_jax.clique.{name}")
+    for name in (
+        *("_adjacency", "_bitset", "_bounds", "_costs", "_exact", "_heuristic", "_local_search"),
+        *("_ties", "_weighted", "maximum"),
+    )
+]
+# Readings after the end, by stages that each find out for themselves that it is over.
+FEW = 16
+
+
+class Clock:
+    """Counts its readings, by the module that asks."""
+
+    def __init__(self):
+        self.readings = Counter()
+
+    def __call__(self) -> float:
+        self.readings[sys._getframe(1).f_globals["__name__"].rpartition(".")[2]] += 1
+        return float(self.readings.total())
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    for module in MODULES:
+        monkeypatch.setattr(module, "perf_counter", clock)
+    return clock
+
+
+def options_of(size: int) -> dict[str, dict]:
+    generator = np.random.default_rng(5)
+    weights, squared = generator.integers(0, 4, size), generator.random((size, size))
+    return {
+        "exact": {},
+        "heuristic": {"method": "heuristic"},
+        "tie_break": {"tie_break": squared},
+        "weights": {"weights": weights},
+        "floats": {"weights": 0.1 * weights},
+        "weights and tie_break": {"weights": weights, "tie_break": squared},
+        "weights, heuristic": {"weights": weights, "method": "heuristic"},
+    }
+
+
+@pytest.mark.parametrize("kind", list(options_of(1)))
+def test_wherever_time_runs_out_the_answer_is_a_clique_with_a_bound_at_once(clock, kind):
+    adjacency = random_graph(70, 0.6, 3)
+    options = options_of(70)[kind]
+    full = maximum_clique(adjacency, **{**options, "method": "exact"})
+    clock.readings.clear()
+    maximum_clique(adjacency, **options)
+    needed = clock.readings.total()
+    for limit in {*range(0, needed, max(1, needed // 60)), *range(min(needed, 30))}:
+        clock.readings.clear()
+        cut = maximum_clique(adjacency, time_limit=limit, **options)
+        assert clock.readings.total() <= limit + FEW, limit
+        assert is_clique(adjacency, cut.members)
+        assert cut.weight <= full.weight * (1 + 1e-12) <= cut.weight_bound * (1 + 2e-12), limit
+        assert cut.optimal == (cut.weight == cut.weight_bound)
+        assert cut.size <= cut.upper_bound
+    clock.readings.clear()
+    assert (
+        maximum_clique(adjacency, **options).members
+        == maximum_clique(adjacency, time_limit=needed + FEW, **options).members
+    ).all()
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_no_stage_forgets_the_clock_on_large_graphs(clock, weighted):
+    # A dense half whose core has to be gathered from a graph of twice its size.
+    adjacency = np.zeros((1200, 1200), bool)
+    adjacency[:600, :600] = complete_multipartite(150, 4)
+    adjacency[5, 9] = adjacency[9, 5] = adjacency[300, 304] = adjacency[304, 300] = False
+    squared = np.random.default_rng(2).random(adjacency.shape)
+    weights = np.where(np.arange(1200) == 17, 2, 1) if weighted else None
+    clique = maximum_clique(adjacency, tie_break=squared, weights=weights, time_limit=3000)
+    assert clique.optimal
+    assert is_clique(adjacency, clique.members)
+    assert clock.readings.total() <= 3000 + FEW
+    search = "_weighted" if weighted else "_exact"
+    assert clock.readings["_bounds"] >= 600  # the order, vertex by vertex
+    assert clock.readings["_bitset"] >= 600 // 128
+    assert clock.readings["_adjacency"] >= 2
+    assert clock.readings["_costs"] >= 3
+    assert clock.readings["_heuristic"] >= 1
+    assert clock.readings["_ties"] + clock.readings[search] >= 100
+
+
+def test_time_limit_holds_for_the_choice_among_equals(clock):
+    # 3^40 maximum cliques whose totals differ: the size is proven at once, the cheapest is not.
+    adjacency = complete_multipartite(40, 3)
+    squared = np.random.default_rng(0).random(adjacency.shape)
+    clique = maximum_clique(adjacency, tie_break=squared, time_limit=2000)
+    assert clock.readings.total() <= 2000 + FEW
+    assert clique.optimal
+    assert clique.size == 40
+
+
+def test_bound_of_an_unfinished_search_lies_between_the_answer_and_the_degrees(clock):
+    adjacency = planted_graph(300, 20, 0.8, 1)
+    first = maximum_clique(adjacency, time_limit=0)
+    clique = maximum_clique(adjacency, time_limit=6000)
+    assert not clique.optimal
+    assert first.size <= clique.size < clique.upper_bound < first.upper_bound <= 300
