@@ -162,6 +162,12 @@ def test_house_rules(module):
         assert "print" not in calls(module)
 
 
+def test_test_modules_have_names_of_their_own():
+    """pytest imports them by their bare names, of which a process has each once."""
+    names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py"]
+    assert sorted({name for name in names if names.count(name) > 1}) == []
+
+
 def test_nothing_else_at_the_top():
     listed = subprocess.run(
         ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False
