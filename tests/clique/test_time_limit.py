@@ -12,6 +12,8 @@ import pytest
 from sample_graphs import complete_multipartite, is_clique, planted_graph, random_graph
 
 from pcm_jax.clique import maximum_clique
+from pcm_jax.clique._exact import BitGraph
+from pcm_jax.clique._ties import _CheapestClique, smallest_by_total
 
 MODULES = [
     importlib.import_module(f"pcm_jax.clique.{name}")
@@ -118,3 +120,13 @@ def test_bound_of_an_unfinished_search_lies_between_the_answer_and_the_degrees(c
     clique = maximum_clique(adjacency, time_limit=6000)
     assert not clique.optimal
     assert first.size <= clique.size < clique.upper_bound < first.upper_bound <= 300
+
+
+def test_sorting_the_edges_for_ties_ends_with_the_time():
+    adjacency = random_graph(20, 0.5, 0)
+    squared = np.zeros((20, 20))
+    graph = BitGraph(adjacency)
+    clique = [1]
+    with pytest.raises(TimeoutError):
+        _CheapestClique(graph, squared, 5, deadline=0.0)
+    assert smallest_by_total(graph, squared, clique, deadline=0.0) == clique
