@@ -132,7 +132,7 @@ def test_commands():
         options = vars(parser().parse_args(words))
         for name in ("output", "report", "plot"):
             if options.get(name):
-                assert options[name].exists(), line
+                assert Path(options[name]).exists(), line
 
 
 def test_two_setups_one_for_the_demo_and_one_for_the_tests():

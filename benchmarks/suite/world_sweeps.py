@@ -24,7 +24,7 @@ def sweeping(worlds: int, settings: Settings) -> dict[str, Measured]:
     """One sweep, compilation and all; and the time of a world without that."""
     with tempfile.TemporaryDirectory() as folder:
         marks = [(0, time.perf_counter())]
-        sweep(folder, worlds=worlds, batch=512, progress=lambda done, _: _mark(marks, done))
+        sweep(folder, worlds=worlds, batch=512, progress=lambda _, done, __: _mark(marks, done))
         table = pyarrow.parquet.read_table(folder)
     (_, start), (first, compiled), *_, (_, end) = marks
     each = (end - compiled) / (worlds - first)

@@ -6,6 +6,7 @@ _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
 demo, formats, inspect, merge, simulate     one module per command, each with a `run(arguments)`
 _outputs     where results may be written, checked before anything is computed
+_merged_files     a merge's maps group by group, or robot by robot; rejected closures
 
 Nothing heavy is imported before a command needs it, so that `--help` answers at once.
 """

@@ -129,8 +129,14 @@ def _merge(commands: Any) -> None:
         "confidence: those that disagree with its odometry or among themselves",
     )
     _reading(merge)
+    merge.add_argument(
+        "--output",
+        metavar="FILE",
+        help="write the merged maps and the accepted closures, as g2o or what the suffix says "
+        "(.jrl, .json), a file for each group of robots; or DIR/, files for each robot",
+    )
     for name, what in (
-        ("output", "the merged maps, as g2o"),
+        ("rejected", "the candidates that were not accepted, as CSV"),
         ("report", "what was accepted, and how well it fits, as JSON"),
         ("plot", "a picture of the merged maps"),
     ):

@@ -49,7 +49,7 @@ def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
     return {
         **given.as_dict(),
         "group": graph.group.__name__,
-        "robots": [dict(zip(HEAD, _robot(one), strict=True)) for one in graph.maps],
+        "robots": [_robot_as_dict(one) for one in graph.maps],
         "closures": [
             {"a": graph.names[a], "b": graph.names[b], "measured": len(indices)}
             for a, b in graph.closures.pairs()
@@ -57,6 +57,23 @@ def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
         ],
         "groups": [[graph.names[robot] for robot in group] for group in _groups(graph)],
         "odd": odd,
+    }
+
+
+def _robot_as_dict(one: PoseGraph) -> dict[str, Any]:
+    """A robot's row in numbers: metres."""
+    odometry = int(_is_odometry(one).sum())
+    places = lie.translation(lie.as_numpy(one.poses))
+    return {
+        "robot": one.name,
+        "poses": one.num_poses,
+        "ids": [int(one.ids.min()), int(one.ids.max())],
+        "edges": one.num_edges,
+        "odometry": odometry,
+        "loops": one.num_edges - odometry,
+        "priors": 0 if one.priors is None else len(one.priors),
+        "length": float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum()),
+        "extent": np.ptp(places, axis=0).tolist(),
     }
 
 
@@ -154,12 +171,25 @@ def _odd_scale(one: PoseGraph) -> Iterator[str]:
     poses = lie.as_numpy(one.poses)
     predicted = lie.between(lie.take(poses, tail), lie.take(poses, head))
     residual = np.asarray(lie.log(lie.between(lie.as_numpy(one.measurement), predicted)))
-    squared = float(np.einsum("ei,eij,ej->", residual, np.asarray(one.information), residual))
-    if freedom > 0 and 0.0 < squared < TOO_GOOD * freedom:
+    information = np.asarray(one.information)
+    squared = float(np.einsum("ei,eij,ej->", residual, information, residual))
+    if (
+        freedom > 0
+        and 0.0 < squared < TOO_GOOD * freedom
+        and _square_fits_better(information, residual, squared, freedom)
+    ):
         yield (
             f"normalised chi2 is at most {squared / freedom:.2g}, where noise as stated gives 1;"
             " is the information its square root (--information sqrt)?"
         )
+
+
+def _square_fits_better(
+    information: np.ndarray, residual: np.ndarray, squared: float, freedom: int
+) -> bool:
+    """True if chi-squared would be nearer to one if the information were squared."""
+    weighed = np.einsum("eij,ej->ei", np.triu(information), residual)
+    return abs(np.log(np.sum(weighed**2) / freedom)) < abs(np.log(squared / freedom))
 
 
 def _odd_closures(between: LoopClosures) -> Iterator[str]:

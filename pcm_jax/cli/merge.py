@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import copy
+import math
 import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from pcm_jax.cli import _outputs as outputs
 from pcm_jax.cli._progress import Progress
+from pcm_jax.errors import InputError
 from pcm_jax.tables import columns_of_text
 
 TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
+TOO_BAD = 10.0  # likewise, above
+KEPT = 0.9  # of the closures accepted: a better reading accepts at least as many
 
 
 def run(options: Any) -> None:
@@ -26,22 +34,39 @@ def run(options: Any) -> None:
 
 def _check_outputs(options: Any) -> None:
     inputs = [*options.files, *(options.closures or [])]
-    paths = [path for path in (options.output, options.report, options.plot) if path]
-    outputs.check_outputs(paths, inputs)
+    files = [options.rejected, options.report, options.plot]
+    if options.output:
+        from pcm_jax.cli._merged_files import check_folder, is_folder
+
+        if is_folder(options.output):
+            check_folder(options.output)
+        else:
+            files.insert(0, Path(options.output))
+    outputs.check_outputs([path for path in files if path], inputs)
     if options.plot:
         outputs.check_picture(options.plot)
 
 
 def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     from pcm_jax.cli._inputs import graph_to_merge
-    from pcm_jax.pipeline import merge
 
     start = time.perf_counter()
     given = graph_to_merge(options)
-    graph = given.graph
     seconds = {"read": time.perf_counter() - start}
-    cleaned = {}
-    if options.clean_maps:
+    result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
+    report = {**result.report(), **cleaned, "input": given.as_dict()}
+    report["hints"] = list(_hints(options, given.graph, report, progress))
+    return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
+
+
+def _merge(
+    graph: Any, options: Any, clean: bool, progress: Progress
+) -> tuple[Any, dict[str, Any], dict[str, float]]:
+    """A merge as the options say; the report's rows on cleaned maps, and what they took."""
+    from pcm_jax.pipeline import merge
+
+    cleaned, seconds = {}, {}
+    if clean:
         start = time.perf_counter()
         progress(f"cleaning {len(graph.maps)} maps")
         graph, cleaned["cleaned"] = _cleaned(graph, options)
@@ -54,8 +79,63 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
         time_limit=options.time_limit,
         progress=progress,
     )
-    report = {**result.report(), **cleaned, "input": given.as_dict()}
-    return result, {**report, "seconds": {**seconds, **report["seconds"]}}
+    return result, cleaned, seconds
+
+
+def _hints(options: Any, graph: Any, report: dict[str, Any], progress: Progress) -> Iterator[str]:
+    """Options that mend a fit that cannot be meant: each is tried on the data before it is named.
+
+    The information's square root must fit better and accept about as many closures; cleaned maps
+    must fit ten times better.
+    """
+    chi2 = report["solution"]["normalized_chi2"]
+    if chi2 is None or chi2 <= 0.0:
+        return
+    if chi2 < TOO_GOOD and options.information == "as-written":
+        other = _tried(options, "sqrt", options.clean_maps, progress)
+        if other is not None and _fits_better(other, report) and _keeps(other, report):
+            yield (
+                "noise as stated gives 1: is the information its square root (--information sqrt)?"
+                f" That gives {other['solution']['normalized_chi2']:.3g}"
+            )
+    if chi2 > TOO_BAD and not options.clean_maps:
+        other = _tried(options, options.information, True, progress, graph)
+        found = None if other is None else other["solution"]["normalized_chi2"]
+        if found is not None and found < 0.1 * chi2:
+            yield (
+                "noise as stated gives 1: do the robots' own maps hold false loops (--clean-maps)?"
+                f" Without them it is {found:.3g}"
+            )
+
+
+def _tried(
+    options: Any, information: str, clean: bool, progress: Progress, graph: Any = None
+) -> dict[str, Any] | None:
+    """The report of a merge with other options, None where that cannot be done."""
+    from pcm_jax.cli._inputs import graph_to_merge
+
+    progress("trying another reading")
+    other = copy.copy(options)
+    other.information = information
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            given = graph_to_merge(other).graph if graph is None else graph
+            result, _, _ = _merge(given, other, clean, progress)
+        except InputError:
+            return None
+    return result.report()
+
+
+def _fits_better(other: dict[str, Any], report: dict[str, Any]) -> bool:
+    """True if chi-squared is nearer to what noise as stated gives, as a factor."""
+    old, new = (one["solution"]["normalized_chi2"] for one in (report, other))
+    return new is not None and new > 0.0 and abs(math.log(new)) < abs(math.log(old))
+
+
+def _keeps(other: dict[str, Any], report: dict[str, Any]) -> bool:
+    old, new = (sum(c["accepted"] for c in one["closures"]) for one in (report, other))
+    return new >= KEPT * old
 
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
@@ -91,12 +171,14 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
 
 def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
     """Writes the files asked for, and gives their paths."""
-    from pcm_jax.files import write_g2o
+    from pcm_jax.cli._merged_files import write_merged, write_rejected
     from pcm_jax.files.output import write_text
 
     if options.output:
-        write_g2o(options.output, result.graph)
-        yield options.output
+        yield from write_merged(options.output, result)
+    if options.rejected:
+        write_rejected(options.rejected, result)
+        yield options.rejected
     if options.report:
         write_text(options.report, outputs.json_text(report))
         yield options.report
@@ -107,7 +189,8 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
 
 def summary(report: dict[str, Any]) -> str:
     """A report as the text that `pcm-jax merge` prints."""
-    parts = [_robots(report), _pairs(report["robot_pairs"]), _fit(report["solution"])]
+    fit = "\n".join([_fit(report["solution"]), *report.get("hints", [])])
+    parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
     if report.get("input", {}).get("cuts"):
         parts.insert(0, "\n".join(report["input"]["cuts"]))
     if "cleaned" in report:
@@ -151,6 +234,4 @@ def _fit(solution: dict[str, Any]) -> str:
     normalized = "no degree of freedom left" if chi2 is None else f"normalised chi2 {chi2:.4g}"
     end = "converged" if solution["converged"] else "NOT CONVERGED"
     fit = f"cost {solution['cost']:.6g} ({normalized}), {end} after {solution['iterations']} steps"
-    if chi2 is not None and chi2 < TOO_GOOD:
-        fit += "\nnoise as stated gives 1: is the information its square root (--information sqrt)?"
     return fit

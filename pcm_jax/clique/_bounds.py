@@ -107,7 +107,7 @@ def weighted_core(
 def _peeled(
     adjacency: np.ndarray, sums: np.ndarray, weights: np.ndarray, minimum: float, deadline: float
 ) -> np.ndarray:
-    """What is left when vertices of too small a sum over their neighbours leave."""
+    """Peels off vertices of too small a sum over their neighbours; returns what is left."""
     kept = np.ones(len(sums), bool)
     while True:
         removed = np.flatnonzero(kept & (sums < minimum))

@@ -46,7 +46,7 @@ class Weights(NamedTuple):
         return math.fsum(values) if self.given.dtype.kind == "f" else sum(values)
 
     def slack(self, total: int) -> int:
-        """How much lighter in units than `total` is equal to it."""
+        """The amount, in units, by which a lighter sum is still equal to `total`."""
         return self.tolerance * total // _DIGITS
 
     def certificate(

@@ -92,7 +92,7 @@ def maximum_clique_batched(
 
 
 class _Node(NamedTuple):
-    """Where a search stands: sets [w, lanes]; as a stack, [w, depth · lanes]."""
+    """The place where a search stands: sets [w, lanes]; as a stack, [w, depth · lanes]."""
 
     path: Array  # chosen
     candidates: Array  # adjacent to all of them, and not yet excluded
@@ -242,7 +242,7 @@ def _step(lanes: _Lanes) -> _Lanes:
 
 
 def _colouring(lanes: _Lanes) -> Array:
-    """Where vertices are given colours: as many colours as vertices would be enough at once."""
+    """The lanes that colour their vertices: as many colours as vertices would do at once."""
     open_ = (lanes.colours > 0) & (count(lanes.node.branches) > lanes.colours)
     return some(lanes.class_) | open_
 

@@ -22,7 +22,7 @@ from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
 from pcm_jax.consistency.evidence import Evidence, PairEvidence
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
-from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops
+from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops, squared_rows
 from pcm_jax.consistency.problem import (
     ConsistencyProblem,
     consistency_problem,
@@ -50,6 +50,7 @@ __all__ = [
     "squared_mahalanobis",
     "squared_mahalanobis_of",
     "squared_own_loops",
+    "squared_rows",
     "stream_consistency_graph",
     "stream_from_covariances",
     "to_networkx",

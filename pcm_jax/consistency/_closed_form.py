@@ -91,6 +91,14 @@ def closed_form_rows(
     return jnp.swapaxes(grid, 1, 2).reshape(down * height, across * width)[: len(rows), :count]
 
 
+def closed_form_new(
+    problem: ConsistencyProblem | WithinProblem, rows: Int[Array, " r"]
+) -> tuple[Float[Array, "r m"], Float[Array, "r m"]]:
+    """q²_uv and q²_vu of the closures u in `rows` with all v: the rows and columns they add."""
+    placed, noise = per_closure(problem)
+    return _tile(problem, placed, noise, rows, jnp.arange(problem.valid.shape[0]))
+
+
 def _blocks(count: int) -> tuple[int, int]:
     """The number of tiles in a row, and their width: at most `TILE`, and as even as can be."""
     blocks = -(-count // TILE)

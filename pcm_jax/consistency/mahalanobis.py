@@ -12,11 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array
-from pcm_jax.consistency._closed_form import closed_form_kernel, closed_form_rows, own_loop_kernel
+from pcm_jax.arrays import bucket, device_array
+from pcm_jax.consistency._closed_form import (
+    closed_form_kernel,
+    closed_form_new,
+    closed_form_rows,
+    own_loop_kernel,
+)
 from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
@@ -159,6 +164,38 @@ def squared_mahalanobis(
             return squared[valid[:, None], valid]
         # Cut by NumPy: an eager JAX gather would be compiled for every number of closures.
         return device_array(np.asarray(squared)[np.ix_(valid, valid)], squared.dtype)
+
+
+def squared_rows(
+    problem: Problem, rows: Int[np.ndarray, " r"]
+) -> tuple[Float[np.ndarray, "r m"], Float[np.ndarray, "r m"]]:
+    """Computes what some closures add to Q: their rows and their columns, by the closed form.
+
+    A closure that is new costs r m pairs and not m²: with a frame that stays (`MapCovariance`), the
+    rest of Q is what it was.
+
+    Args:
+        problem: of all closures, see `consistency_problem`; not traced.
+        rows: `[r]` indices of closures.
+
+    Returns:
+        `[r, m]`: q²_uv and q²_vu of u in `rows` and all v, zero for a closure with itself; NumPy.
+    """
+    rows = np.asarray(rows)
+    padded = np.zeros(bucket(len(rows), smallest=1), np.int32)
+    padded[: len(rows)] = rows
+    with lie.own_precision(problem):
+        both = _new_pairs(problem, padded)
+    count = int(np.count_nonzero(np.asarray(problem.valid)))
+    forward, backward = (np.asarray(each)[: len(rows), :count] for each in both)
+    return forward, backward
+
+
+@jax.jit
+def _new_pairs(problem: Problem, rows: Any) -> Any:
+    harmless, known = _harmless(problem)
+    both = closed_form_new(harmless, rows)
+    return tuple(_marked(each, known, problem.valid, rows) for each in both)
 
 
 def _on_all(problem: Problem, mesh: Mesh) -> Problem:

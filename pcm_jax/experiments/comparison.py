@@ -16,6 +16,7 @@ from jaxtyping import Bool
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
+from pcm_jax.consistency import Evidence
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.evaluation.metrics import (
     false_positive_rate,
@@ -108,7 +109,7 @@ class Compared(NamedTuple):
 
 @on_host
 def compare_methods(
-    graph: MultiRobotGraph,
+    graph: MultiRobotGraph | Evidence,
     is_true: Any,
     truth: Sequence[Any] | None = None,
     *,
@@ -120,12 +121,12 @@ def compare_methods(
     """Runs methods on one graph and holds each against the truth.
 
     Args:
-        graph: maps and candidate closures.
+        graph: maps and candidate closures, or what `weigh` found of them.
         is_true: bool `[m]`, which closures are right.
         truth: true poses of each robot in one frame, Lie `[n]` each; None: no map errors.
         methods: rows by label; by default the paper's, and its three at a calibrated gate. The
             merge by the right closures alone, the reference, is always made.
-        optimized: whether the maps are at their optimum already.
+        optimized: whether the maps are at their optimum already; evidence's are.
         minimum_inliers: as in `merge`, of the selectors.
         engine: "blocks" or "cholmod".
 
@@ -138,7 +139,8 @@ def compare_methods(
             what `merge` raises.
     """
     rows = dict(PAPER | CALIBRATED if methods is None else methods)
-    right = as_mask(is_true, "is_true", len(graph.closures))
+    given = graph.graph if isinstance(graph, Evidence) else graph
+    right = as_mask(is_true, "is_true", len(given.closures))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
         bench = _Bench(graph, right, truth, rows, optimized, minimum_inliers, engine)
@@ -173,7 +175,7 @@ class _Bench:
 
     def __init__(
         self,
-        graph: MultiRobotGraph,
+        graph: MultiRobotGraph | Evidence,
         is_true: np.ndarray,
         truth: Sequence[Any] | None,
         rows: Mapping[str, Method],
@@ -181,7 +183,9 @@ class _Bench:
         minimum_inliers: int,
         engine: str,
     ):
-        self.evidence = weigh(graph, optimized=optimized, memory_limit=np.inf)
+        known = isinstance(graph, Evidence)
+        weighing: Any = {"optimized": optimized, "memory_limit": np.inf}
+        self.evidence = graph if known else weigh(graph, **weighing)
         self.graph = self.evidence.optimized
         self.is_true, self.truth = is_true, truth
         self.minimum_inliers, self.engine = minimum_inliers, engine

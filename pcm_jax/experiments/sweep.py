@@ -71,7 +71,7 @@ _NUMBERS = frozenset(
     | {"closure_sigma_translation", "closure_sigma_rotation"}
 )
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[str, int, int], None]
 
 
 @on_host
@@ -111,7 +111,7 @@ def sweep(
         batch: worlds a file, rounded up to what fills the devices evenly.
         mesh: devices that share the worlds, of one process or of several that all make this call.
             Then the first process alone reads and writes the folder.
-        progress: called with the worlds done and the worlds in all after each batch.
+        progress: called with "sweep", the worlds done and the worlds in all after each batch.
         **world: the worlds' law, keyword arguments of `simulate_chains`.
 
     Returns:
@@ -140,7 +140,7 @@ def sweep(
             files.write(start, stop, _columns(grid, seed, start, stop, outcomes))
         finished += stop - start
         if progress is not None:
-            progress(finished, worlds)
+            progress("sweep", finished, worlds)
     return Path(folder)
 
 
@@ -311,7 +311,7 @@ def _columns(
 
 def _grid(methods: Sequence[str], confidences: Sequence[float], world: dict[str, Any]) -> Grid:
     for method in methods:
-        kernel_of(method, "methods")
+        kernel_of(method, "methods", "some")
     if not len(methods) or not len(confidences):
         raise InputError("methods, confidences: expected one of each at least")
     parameters = inspect.signature(simulate_chains).parameters.values()

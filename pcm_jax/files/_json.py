@@ -31,7 +31,7 @@ class Member:
         return FileFormatError(self.path, None, f"{self.place or 'the file'}: {problem}")
 
     def has(self, key: str) -> bool:
-        """Whether this is an object with a member of that name."""
+        """True if this is an object with a member of that name."""
         return isinstance(self.value, dict) and key in self.value
 
     def at(self, *keys: str) -> Member:
@@ -114,5 +114,5 @@ def load(source: Source) -> Member:
 
 
 def begins_object(source: Source) -> bool:
-    """Whether the text begins like a JSON object."""
+    """True if the text begins like a JSON object."""
     return bool(source.head) and source.head[0][1].startswith("{")

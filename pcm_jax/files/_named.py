@@ -33,17 +33,15 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
     if not len(edges) or file.named is None:
         return LoopClosures.empty(graph.group), ()
     roster, called = Roster(graph.names), file.named
-    robots = []
-    for end in (0, 1):
-        names = [str(name) for name in called[:, end]]
-        robots.append(roster.indices(names, fault))
-        raise_first(
-            robots[end] < 0,
-            fault,
-            lambda row, names=names: (
-                f"there is no robot {names[row][:40]!r}, expected one of {roster.expected()}"
-            ),
-        )
+    count = len(edges)
+    names = [str(name) for name in called.T.ravel()]  # both ends together tell what numbers mean
+    found = roster.indices(names, lambda row, problem: fault(row % count, problem))
+    raise_first(
+        found < 0,
+        lambda row, problem: fault(row % count, problem),
+        lambda row: f"there is no robot {names[row][:40]!r}, expected one of {roster.expected()}",
+    )
+    robots = list(found.reshape(2, count))
     loops = (robots[0] == robots[1]) & (edges.ids[:, 0] == edges.ids[:, 1])
     raise_first(
         (robots[0] == robots[1]) & ~loops,
@@ -75,6 +73,27 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
         kept.label == TRUE if known else None,
     )
     return closures, tuple(notes)
+
+
+def named_by_ids(file: PoseFile, graph: MultiRobotGraph) -> np.ndarray:
+    """The robots by name, object `[k, 2]`, of edges whose ids exactly one map has.
+
+    Raises:
+        FileFormatError: for an id that no map has, or several have.
+    """
+    ids = file.edges.ids
+    holds = np.array([np.isin(ids, one.ids) for one in graph.maps])
+    count = holds.sum(axis=0)
+    raise_first(
+        (count != 1).any(axis=1),
+        line_fault(file.path, file.edges.line),
+        lambda row: (
+            f"pose {ids[row][count[row] != 1][0]} is in {count[row][count[row] != 1][0]} of the"
+            " maps, expected in one"
+        ),
+    )
+    names = np.array(graph.names, object)
+    return names[np.argmax(holds, axis=0)] if ids.size else np.zeros((0, 2), object)
 
 
 def _median_information(maps: tuple[PoseGraph, ...]) -> Float[np.ndarray, "d d"]:

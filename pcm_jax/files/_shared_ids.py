@@ -86,14 +86,14 @@ def _runs(file: PoseFile, known: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]
 
 
 def _main(run: Int[np.ndarray, " k"]) -> np.ndarray:
-    """Which ids are in the file's longest run."""
+    """Finds the ids in the file's longest run."""
     return (run == run.max(initial=0)) & (run > 1)
 
 
 def _defines(
     file: PoseFile, run: Int[np.ndarray, " k"], runs: Sequence[np.ndarray], place: int
 ) -> bool:
-    """Whether a file defines a robot: most of its poses are joined by odometry, or its own."""
+    """True if a file defines a robot: most of its poses are joined by odometry, or its own."""
     if file.candidates or not (run > 0).any():
         return False
     if 2 * (run > 1).sum() > (run > 0).sum() and len(file.vertices) + (run > 1).sum() > 2:
@@ -132,7 +132,7 @@ def _owners(runs: Sequence[np.ndarray], defines: Sequence[bool], count: int) -> 
 def _crosses(
     file: PoseFile, known: np.ndarray, owner: np.ndarray, place: int, defines: bool
 ) -> bool:
-    """Whether an edge of the file leads to another file's pose."""
+    """True if an edge of the file leads to another file's pose."""
     whose = owner[np.searchsorted(known, file.edges.ids)]
     return bool((whose != place).any()) if defines else bool(len(file.edges))
 

@@ -124,5 +124,5 @@ class Placed:
 
 
 def _has(file: PoseFile, kind: str) -> bool:
-    """Whether a file's lines of this kind count: candidates bring edges only."""
+    """True if a file's lines of this kind count: candidates bring edges only."""
     return getattr(file, kind) is not None and (kind == "edges" or not file.candidates)

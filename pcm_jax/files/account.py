@@ -1,4 +1,4 @@
-"""What was read and how, for people: `inspect` prints it, and reports carry it."""
+"""An account of what was read and how: `inspect` prints it, and reports carry it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pcm_jax.files.scopes import Scope
 
 @dataclasses.dataclass(frozen=True)
 class FileAccount:
-    """How one file was read.
+    """An account of how one file was read.
 
     Attributes:
         path: the file.
@@ -71,7 +71,7 @@ class Copy:
 
     @property
     def expected(self) -> bool:
-        """Whether files of several robots hold it by convention: each robot's file, once."""
+        """True if files of several robots hold it by convention: each robot's file, once."""
         return self.fresh and not self.turned
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class Copy:
 
 @dataclasses.dataclass(frozen=True)
 class Account:
-    """How all files were read.
+    """An account of how all files were read.
 
     Attributes:
         files: one account a file.
@@ -97,7 +97,7 @@ class Account:
     clipped: int
 
     def warnings(self) -> Iterator[str]:
-        """What a reader of files must be told, one line each."""
+        """Lists what a reader of files must be told, one line each."""
         for file in self.files:
             if file.left_out:
                 yield f"{file.path}: {skipped(file.left_out)}"

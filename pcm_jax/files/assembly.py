@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pcm_jax import lie
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files._components import by_components
 from pcm_jax.files._named import named_closures
@@ -16,7 +15,7 @@ from pcm_jax.files.plausibility import doubts
 from pcm_jax.files.pose_file import PoseFile, Reading
 from pcm_jax.files.robots import assemble
 from pcm_jax.files.scopes import scopes_of
-from pcm_jax.graph.copies import first_copies
+from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 
@@ -56,7 +55,7 @@ def graph_of(
             more, told = _tolerant(file, graph, skip_bad)
             parts.append(more)
             notes += told
-    between, copies = counted_once(LoopClosures.concatenate(parts))
+    between, copies = _once(LoopClosures.concatenate(parts))
     graph = MultiRobotGraph(made.maps, between, made.truth)
     accounts = {
         id(file): account_of(found, scope)
@@ -73,21 +72,10 @@ def graph_of(
     return graph, account
 
 
-def counted_once(closures: LoopClosures) -> tuple[LoopClosures, tuple[Copy, ...]]:
+def _once(closures: LoopClosures) -> tuple[LoopClosures, tuple[Copy, ...]]:
     """Closures without those that state an earlier one again, and these."""
-    ends = np.stack(
-        [
-            np.asarray(getattr(closures, name), np.int64)
-            for name in ("robot_a", "pose_a", "robot_b", "pose_b")
-        ],
-        axis=1,
-    )
-    information = np.asarray(closures.information)
-    first = first_copies(ends, lie.as_numpy(closures.measurement), information)
+    once, first, turned = counted_once(closures)
     again = first != np.arange(len(first))
-    if not again.any():
-        return closures, ()
-    turned = (ends != ends[first]).any(axis=1)
     seen: set[tuple[int, str]] = set()
     copies = []
     for row in np.flatnonzero(again | np.isin(np.arange(len(first)), first[again])).tolist():
@@ -96,7 +84,16 @@ def counted_once(closures: LoopClosures) -> tuple[LoopClosures, tuple[Copy, ...]
             source, original = str(closures.source[row]), str(closures.source[first[row]])
             copies.append(Copy(source, original, bool(turned[row]), key not in seen))
         seen.add(key)
-    return closures[~again], tuple(copies)
+    return once, tuple(copies)
+
+
+def closures_of(
+    file: PoseFile, graph: MultiRobotGraph, skip_bad: bool
+) -> tuple[LoopClosures, list[str], tuple[Copy, ...]]:
+    """The closures of one file of candidates between a graph's maps, each once."""
+    closures, told = _tolerant(file, graph, skip_bad)
+    once, copies = _once(closures)
+    return once, told, copies
 
 
 def _tolerant(

@@ -106,7 +106,7 @@ def from_toro_order(triangle: Float[np.ndarray, "e 6"]) -> Float[np.ndarray, "e 
 
 
 def looks_like_toro(triangle: Float[np.ndarray, "e 6"], *, expected: bool) -> bool:
-    """Which order 2D triangles `[e, 6]` are in, by which reading is positive definite.
+    """Finds the order of 2D triangles `[e, 6]` by which reading is positive definite.
 
     Args:
         triangle: the numbers of TORO's or iSAM's lines.

@@ -22,6 +22,7 @@ from pcm_jax.graph.pose_graph import PoseGraph
 TURN = 2.0 * np.pi
 SMALLEST_SHARE = 1e-6  # of a step: smaller sigmas are no measurement's
 SEVERE = 2.0  # times a step or a turn: what a reader is warned of
+ENOUGH = 5000  # measurements to take a median of
 APART = 300.0  # times: between robots of one team whose sigmas are in one unit
 
 
@@ -49,6 +50,7 @@ def doubts(
     for one in maps:
         odometry = np.abs(np.asarray(one.tail) - np.asarray(one.head)) == 1
         information = np.asarray(one.information)[odometry if odometry.any() else slice(None)]
+        information = information[:: 1 + len(information) // ENOUGH]
         if not len(information):
             continue
         step = _step(one, odometry)

@@ -1,4 +1,4 @@
-"""What one file holds, as arrays: ids, transforms and information, with their lines.
+"""One file's contents as arrays: ids, transforms and information, with their lines.
 
 What the ids mean (whose poses they are) is decided later, over all files together.
 """
@@ -27,7 +27,7 @@ UNKNOWN, FALSE, TRUE = -1, 0, 1  # labels of edges
 
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """How a file's numbers are to be taken: `read_graph`'s options, checked.
+    """The reading of a file's numbers: `read_graph`'s options, checked.
 
     `group` is that of the maps, where they were read before; `components` makes a robot of each
     session of a file that no odometry links to another.
@@ -118,7 +118,7 @@ class Lines:
 
 @dataclasses.dataclass(frozen=True)
 class PoseFile:
-    """What one file holds.
+    """One file's contents.
 
     Attributes:
         path: the file.

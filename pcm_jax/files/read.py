@@ -9,13 +9,16 @@ from os import PathLike
 from typing import Any
 
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
+from pcm_jax.files._named import named_by_ids
 from pcm_jax.files.account import Account
-from pcm_jax.files.assembly import MOST_BAD, check_one_group, graph_of
+from pcm_jax.files.assembly import MOST_BAD, check_one_group, closures_of, graph_of
 from pcm_jax.files.formats import named, recognised
 from pcm_jax.files.names import check_given_once
 from pcm_jax.files.pose_file import PoseFile, Reading
 from pcm_jax.files.source import Source
+from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
+from pcm_jax.graph.pose_graph import PoseGraph
 
 Paths = str | PathLike[str]
 
@@ -120,6 +123,41 @@ def read_with_account(
     if ignore_priors:
         files = [dataclasses.replace(file, priors=None) for file in files]
     return graph_of(files, reading, notes, skip_bad=skip_bad)
+
+
+def read_candidates(
+    path: Paths,
+    maps: MultiRobotGraph | Sequence[PoseGraph],
+    *,
+    information: str = "as-written",
+    default_sigmas: tuple[float, float] | None = None,
+    skip_bad: bool = False,
+) -> LoopClosures:
+    """Reads candidates between maps in memory: CSV, or a graph file whose ids the maps have.
+
+    Args:
+        path: the file.
+        maps: a graph, or the robots' maps.
+        information: as for `read_graph`.
+        default_sigmas: likewise.
+        skip_bad: likewise.
+
+    Raises:
+        FileFormatError: naming file, line, value and what was expected.
+
+    Warns:
+        InputWarning: for what was left out, assumed, or stated again.
+    """
+    graph = maps if isinstance(maps, MultiRobotGraph) else MultiRobotGraph(tuple(maps))
+    reading = Reading(information, default_sigmas=default_sigmas, group=graph.group)
+    file, notes = _read_candidates(str(path), reading, skip_bad)
+    if file.named is None:
+        file = dataclasses.replace(file, named=named_by_ids(file, graph))
+    closures, told, copies = closures_of(file, graph, skip_bad)
+    again = [f"{len(copies)} closures repeat earlier ones and are counted once"] if copies else []
+    for line in [*notes, *told, *again]:
+        warnings.warn(InputWarning(line), stacklevel=2)
+    return closures
 
 
 def _flat(given: Any, argument: str) -> list[str]:

@@ -120,7 +120,7 @@ def pose_text(pose: Any) -> str:
 
 
 def _kept_copies(edges: Table) -> Bool[np.ndarray, " k"]:
-    """Which edges to keep, bool `[k]`, so that a map's edge repeated in other files counts once.
+    """Finds the edges to keep, bool `[k]`: a map's edge repeated in other files counts once.
 
     An edge is kept as often as it occurs in the file that has it most often. (Closures are counted
     once whatever their source, when all of them are known: see `pcm_jax.files.read`.)
@@ -150,7 +150,7 @@ def _kept(edges: Table) -> Bool[np.ndarray, " k"]:
 
 
 def _same_numbers(table: Table, row: int, other: int) -> bool:
-    """Whether two rows' transforms agree to 1e-5 of their size; q and −q are the same rotation."""
+    """True if two rows' transforms agree to 1e-5 of their size; q and −q are the same rotation."""
     a, b = table.transforms[row], table.transforms[other]
     size = 2 if len(a) == 4 else 4
     turned = -1.0 if size == 4 and a[:size] @ b[:size] < 0.0 else 1.0
@@ -282,7 +282,7 @@ def _unrepeated(vertices: Table, ids: np.ndarray) -> np.ndarray:
 
 
 def positions(ids: np.ndarray, edges: Table, end: int) -> np.ndarray:
-    """Where in `ids` the ends 0 or 1 of edges are, int64 `[k]`.
+    """Places in `ids` of the ends 0 or 1 of edges, int64 `[k]`.
 
     Raises:
         FileFormatError: for an edge to a vertex that does not exist.

@@ -18,6 +18,7 @@ Comments of `write_g2o` name the robots (g2o, and whatever else reads its files,
     # pcm_jax robot A label NAME    the robot of the label A is called NAME
     # pcm_jax robot - id NAME       the file's one robot is called NAME
     # pcm_jax id-table FILE         the ids are sequential; FILE beside this one says whose they are
+    # pcm_jax frame NAME            all poses stand in the frame of the robot NAME
     # pcm_jax order lines           poses are in the order of their lines, not of their ids
 """
 
@@ -46,13 +47,14 @@ from pcm_jax.graph.validation import raise_first
 ROBOT_LINE = "# pcm_jax robot {letter} {kind} {name}"
 TABLE_LINE = "# pcm_jax id-table {file}"
 ORDER_LINE = "# pcm_jax order lines"
+FRAME_LINE = "# pcm_jax frame {name}"
 TABLE_COLUMNS = ("vertex", "robot", "id")
 _ROBOT = re.compile(r"# pcm_jax robot (\S) (key|index|label|id) (.+)")
 _TABLE = re.compile(r"# pcm_jax id-table (\S.*)")
 
 
 def scopes_of(files: Sequence[PoseFile], ids: str = "auto") -> tuple[list[PoseFile], list[Scope]]:
-    """How the ids of several files are meant, by the rules above.
+    """Decides how the ids of several files are meant, by the rules above.
 
     Args:
         files: what they hold.
@@ -124,8 +126,9 @@ def _by_letters(
         elif strict:
             raise _no_symbol(files[number])
     found = {number: _lettered(files[number]) for number in keyed}
+    chosen = [] if strict else keyed
     lone = conflicting_letters(
-        [files[number] for number in keyed], [found[number] for number in keyed]
+        [files[number] for number in chosen], [found[number] for number in chosen]
     )
     for place, number in enumerate(keyed):
         if place in lone:

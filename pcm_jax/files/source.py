@@ -32,7 +32,7 @@ class Source:
 
     @functools.cached_property
     def is_folder(self) -> bool:
-        """Whether this is a folder, as some formats are."""
+        """True if this is a folder, as some formats are."""
         try:
             return Path(self.path).is_dir()
         except (OSError, ValueError):

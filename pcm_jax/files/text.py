@@ -122,7 +122,7 @@ class Rows:
 
 
 def _hint(word: str) -> str:
-    """What a word that is no number looks like."""
+    """Says what a word that is no number looks like."""
     if re.fullmatch(r"[-+]?\d+,\d*([eE][-+]?\d+)?", word):
         return " with a decimal point, not a decimal comma"
     return ", not columns with ';' between them" if ";" in word else ""

@@ -24,7 +24,7 @@ def trajectory_file(
     stamps: Float[np.ndarray, " n"] | None = None,
     scope: Scope | None = None,
 ) -> PoseFile:
-    """What a trajectory's file holds as a map: its poses, and a step from each to the next.
+    """Makes a map of a trajectory's file: its poses, and a step from each to the next.
 
     Args:
         path: the file.

@@ -34,11 +34,22 @@ def write_graph(
     found.write(path, whole)
 
 
-def _of_suffix(path: str | PathLike[str]) -> Format:
+def format_of_suffix(path: str | PathLike[str]) -> str | None:
+    """The name of the format that a path's suffix asks for, None where it is no written one's."""
+    suffix = _suffix(path)
+    names = (one.name for one in formats() if one.write is not None and suffix in one.suffixes)
+    return next(names, None)
+
+
+def _suffix(path: str | PathLike[str]) -> str:
     target = Path(path)
     bare = target.with_suffix("") if target.suffix in COMPRESSED else target
-    for one in formats():
-        if one.write is not None and bare.suffix.lower() in one.suffixes:
-            return one
+    return bare.suffix.lower()
+
+
+def _of_suffix(path: str | PathLike[str]) -> Format:
+    name = format_of_suffix(path)
+    if name is not None:
+        return named(name)
     known = ", ".join(suffix for one in formats() if one.write for suffix in one.suffixes)
-    raise FileFormatError(path, None, f"suffix {bare.suffix!r} given, expected one of {known}")
+    raise FileFormatError(path, None, f"suffix {_suffix(path)!r} given, expected one of {known}")

@@ -3,6 +3,8 @@
 checked         poses, measurements and uncertainty as users may pass them
 validation      the checks themselves, which name their first culprit
 symbols         GTSAM's symbol keys
+copies          measurements that are stated more than once
+priors          `Priors`: poses that were measured by themselves
 spanning_tree   poses by composing measurements along a tree; connectedness
 pose_graph      `PoseGraph`: one robot's map
 loop_closures   `LoopClosures`: measurements between robots

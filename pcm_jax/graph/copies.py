@@ -89,7 +89,7 @@ def _direction(size: int) -> Float[np.ndarray, " size"]:
 
 
 def _same_pose(a: np.ndarray, b: np.ndarray) -> Bool[np.ndarray, " k"]:
-    """Whether two batches of rigid motions `[k, s, s]` agree as printed numbers do."""
+    """True where two batches of rigid motions `[k, s, s]` agree as printed numbers do."""
     turned = np.abs(a[:, :-1, :-1] - b[:, :-1, :-1]).max(axis=(1, 2), initial=0.0)
     places = np.abs(a[:, :-1, -1] - b[:, :-1, -1]).max(axis=1)
     size = np.maximum(np.abs(a[:, :-1, -1]).max(axis=1), np.abs(b[:, :-1, -1]).max(axis=1))
@@ -112,3 +112,20 @@ def _join(leader: np.ndarray, one: int, other: int) -> None:
     """One set of two, led by the earlier row."""
     one, other = _leader_of(leader, one), _leader_of(leader, other)
     leader[max(one, other)] = min(one, other)
+
+
+def counted_once(
+    closures: Any,
+) -> tuple[Any, Int[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+    """`LoopClosures` without those that state an earlier one again.
+
+    Returns:
+        The closures; for each of those given the index of the first one that says the same; and
+        whether it says so the other way round.
+    """
+    names = ("robot_a", "pose_a", "robot_b", "pose_b")
+    ends = np.stack([np.asarray(getattr(closures, name), np.int64) for name in names], axis=1)
+    information = np.asarray(closures.information)
+    first = first_copies(ends, lie.as_numpy(closures.measurement), information)
+    again = first != np.arange(len(first))
+    return (closures[~again] if again.any() else closures), first, (ends != ends[first]).any(axis=1)

@@ -352,7 +352,7 @@ def _as_keys(known: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 
 
 def find(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where in `known` each of `wanted` is, and which of them are not there."""
+    """The place in `known` of each of `wanted`, and which of them are not there."""
     order = np.argsort(known)
     slot = np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)
     found = order[slot]

@@ -10,6 +10,7 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -22,8 +23,9 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
         sessions = pcm_jax.split(pcm_jax.read_graph("trajectory.g2o").maps[0], [150])
 
     Edges inside a piece stay in its map; edges between pieces become loop closures, in the graph's
-    order and orientation; edges between the two poses next to a cut (the odometry) are dropped.
-    Poses, ids and sources are kept; the pieces' poses remain in the graph's frame.
+    order and orientation, each once however often the graph states it; edges between the two poses
+    next to a cut (the odometry) are dropped. Poses, ids and sources are kept; the pieces' poses
+    remain in the graph's frame.
 
     Args:
         pose_graph: the graph.
@@ -43,12 +45,14 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
     crossing = np.flatnonzero((robot_of[tail] != robot_of[head]) & (np.abs(tail - head) > 1))
     tail, head = tail[crossing], head[crossing]
     robot_a, robot_b = robot_of[tail], robot_of[head]
-    closures = LoopClosures.from_checked(
-        (robot_a, tail - start[robot_a], robot_b, head - start[robot_b]),
-        lie.take(lie.as_numpy(pose_graph.measurement), crossing),
-        np.asarray(pose_graph.information)[crossing],
-        pose_graph.source[crossing],
-    )
+    closures = counted_once(
+        LoopClosures.from_checked(
+            (robot_a, tail - start[robot_a], robot_b, head - start[robot_b]),
+            lie.take(lie.as_numpy(pose_graph.measurement), crossing),
+            np.asarray(pose_graph.information)[crossing],
+            pose_graph.source[crossing],
+        )
+    )[0]
     return MultiRobotGraph(maps, closures)
 
 

@@ -42,7 +42,7 @@ def are_symbols(ids: Int[np.ndarray, " n"]) -> bool:
 
 
 def are_labelled(ids: Int[np.ndarray, " n"]) -> bool:
-    """Whether there are ids and every one of them is a labelled key."""
+    """True where there are ids and every one of them is a labelled key."""
     return bool(len(ids)) and bool((labels_of(ids) > 0).all())
 
 

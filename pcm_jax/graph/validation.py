@@ -143,7 +143,7 @@ def positive_definite(matrices: Float[np.ndarray, "m d d"]) -> Bool[np.ndarray, 
 def _factored(
     matrices: Float[np.ndarray, "m d d"], good: Bool[np.ndarray, " m"]
 ) -> Bool[np.ndarray, " m"]:
-    """Which of the good ones LAPACK factors as well, whose rounding is another."""
+    """The good ones that LAPACK factors as well, whose rounding is another."""
     try:
         np.linalg.cholesky(np.asarray(matrices)[good])
     except np.linalg.LinAlgError:
@@ -177,12 +177,20 @@ def check_information(
     raise_first(
         ~positive_definite(symmetric),
         fault,
-        lambda row: (
-            f"{what} is not positive definite (smallest eigenvalue"
-            f" {np.linalg.eigvalsh(symmetric[row])[0]:.6g})"
-        ),
+        lambda row: f"{what} is not positive definite ({_told(symmetric[row])})",
     )
     return symmetric
+
+
+def _told(matrix: Float[np.ndarray, "d d"]) -> str:
+    """The smallest eigenvalue, and the rank of a matrix that merely lacks directions."""
+    values = np.linalg.eigvalsh(matrix)
+    zero = 1e-12 * values[-1]
+    text = f"smallest eigenvalue {values[0]:.6g}"
+    if values[-1] <= 0.0 or values[0] < -zero:
+        return text
+    rank = int((values > zero).sum())
+    return f"{text}; rank {rank} of {len(values)}: planar or 4-DoF measurements say nothing there"
 
 
 def clip_to_definite(

@@ -4,6 +4,12 @@ Two layers share one set of formulas. The modules `se2`, `se3` and `r1` work ent
 tuples of arrays and serve kernels (JAX) and host code (NumPy) alike. The functions exported here
 work on batches of `jaxlie.SE2`, `jaxlie.SE3` and `R1`, which are the package's containers.
 
+unrolled     small matrices as nested tuples of arrays
+_angle       functions of the squared angle, from which exp, log and Jacobians are built
+se2, se3     the groups, entry by entry
+r1           the line, and its container `R1`
+transforms   the same on batches, with whichever group: what is exported here
+
 Conventions: perturbations are on the right, `T exp(δ)`; a tangent vector is (translation,
 rotation), in metres and radians.
 """

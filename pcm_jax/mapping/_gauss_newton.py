@@ -23,6 +23,7 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+from pcm_jax import lie
 from pcm_jax.mapping._linearization import Edges, linearize, retract, whitened_residual
 from pcm_jax.mapping._normal_equations import (
     BlockCholesky,
@@ -30,6 +31,9 @@ from pcm_jax.mapping._normal_equations import (
     Cholmod,
     DampedJacobian,
 )
+
+ROUNDING = 16
+"""Units in the last place of the farthest coordinate: a step's product of several roundings."""
 
 
 class Problem(eqx.Module):
@@ -111,7 +115,8 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
     `args` is a `Problem`, `y` a batch of poses, and `fn(y, args)` must be
     `whitened_residual(y, args.edges)`, whose Jacobian is known here in closed form. Stops when an
     accepted step changes the cost by less than `rtol` of it, or when a step moves no coordinate
-    (metres, radians) by more than `atol`.
+    (metres, radians) by more than `atol`; a position by no more than that and what rounding leaves
+    of it, which at UTM's coordinates is above any fixed tolerance.
 
     Attributes:
         rtol, atol: tolerances.
@@ -169,9 +174,8 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
             state.search_state,
         )
         before, cost = state.f_info.as_min(), f_eval.as_min()
-        settled = (accept & (jnp.abs(before - cost) <= self.rtol * before)) | (
-            self.norm(state.delta) <= self.atol
-        )
+        unchanged = accept & (jnp.abs(before - cost) <= self.rtol * before)
+        settled = unchanged | self._at_rest(state.delta, y)
         terminate = settled & ~state.first_step
         y, f_info = _choose(accept, (state.candidate, f_eval), (y, state.f_info))
         out_of_steps = ~terminate & (state.steps + 1 >= args.max_steps)
@@ -201,6 +205,13 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
             ),
             None,
         )
+
+    def _at_rest(self, delta: Float[Array, "n d"], y: Any) -> Bool[Array, ""]:
+        positions = lie.translation(y)
+        space = positions.shape[-1]
+        rounding = ROUNDING * jnp.finfo(delta.dtype).eps * jnp.max(jnp.abs(positions))
+        moved, turned = delta[:, :space], delta[:, space:]
+        return (self.norm(moved) <= self.atol + rounding) & (self.norm(turned) <= self.atol)
 
     def _descend(
         self, accept: Array, f_info: Any, step_size: Array, descent_state: Any

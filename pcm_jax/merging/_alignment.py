@@ -1,4 +1,4 @@
-"""Where each map lies in its group's frame, from the accepted closures: the start of the solve.
+"""Each map's place in its group's frame, from the accepted closures: the start of the solve.
 
 Closure u between pose i of robot a and pose k of robot b says by itself where map b lies in map a:
 `T_u = X_i z_u Y_k⁻¹`. Of a pair's closures the one whose T_u is nearest to the others' (the medoid)

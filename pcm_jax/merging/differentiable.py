@@ -282,7 +282,7 @@ def _filled(values: Array, filler: Any, size: int) -> Array:
 
 
 class _Placing(NamedTuple):
-    """Where each map is put to start with.
+    """The places where maps are put to start with.
 
     Attributes:
         anchors: Lie `[robots]`, each map's frame in that of its group's first robot.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from pcm_jax.consistency import PairEvidence
 from pcm_jax.errors import InputError
 from pcm_jax.graph.checked import as_mask
 from pcm_jax.plots import style
@@ -26,7 +27,7 @@ _HISTOGRAMS: tuple[dict[str, Any], ...] = (
 
 
 def plot_squared_distances(
-    squared: Float[Array, "m m"],
+    squared: Float[Array, "m m"] | PairEvidence,
     gate: float,
     *,
     order: Int[np.ndarray, " m"] | None = None,
@@ -114,7 +115,7 @@ def plot_consistency_graph(
 
 
 def plot_gate(
-    squared: Float[Array, "m m"],
+    squared: Float[Array, "m m"] | PairEvidence,
     gate: float,
     *,
     dof: int,
@@ -129,7 +130,8 @@ def plot_gate(
     of all pairs inside the gate. The axis is logarithmic: an outlier's distance can be anything.
 
     Args:
-        squared: squared Mahalanobis distances; the two directions of a pair count as their maximum.
+        squared: squared Mahalanobis distances, or a `PairEvidence` that has them; the two
+            directions of a pair count as their maximum.
         gate: γ², as of `chi2_gate`.
         dof: degrees of freedom, d: 3 in SE(2), 6 in SE(3).
         is_true: which measurements are true, where that is known.
@@ -167,7 +169,8 @@ def plot_gate(
 
 
 def _checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
-    values = np.array(squared, dtype=float)
+    given = squared.squared if isinstance(squared, PairEvidence) else squared
+    values = np.array(given, dtype=float)
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
         raise InputError(f"squared: shape {values.shape} given, expected [m, m]")
     if not gate > 0:

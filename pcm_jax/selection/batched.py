@@ -61,10 +61,12 @@ def select_batched(
     return members.reshape(*batch, m)
 
 
-def kernel_of(method: str | Callable[..., Any], argument: str = "method") -> SelectionMethod:
+def kernel_of(
+    method: str | Callable[..., Any], argument: str = "method", choice: str = "one"
+) -> SelectionMethod:
     """The record of a method that has a kernel, or one made of a function."""
     if callable(method):
         return SelectionMethod(getattr(method, "__name__", "function"), method, kernel=method)
     if method not in KERNELS:
-        raise InputError(f"{argument}: {method!r}, expected one of {', '.join(KERNELS)}")
+        raise InputError(f"{argument}: {method!r}, expected {choice} of {', '.join(KERNELS)}")
     return METHODS[method]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pcm_jax import lie
-from pcm_jax.consistency import consistency_problem, squared_mahalanobis
+from pcm_jax.consistency import consistency_problem, squared_mahalanobis, squared_rows
 from pcm_jax.errors import InputError
 
 GROUPS = [jaxlie.SE2, jaxlie.SE3]
@@ -261,3 +261,12 @@ def test_float32_follows_its_input(problem, squared):
 def test_kernel_names(problem):
     with pytest.raises(InputError, match="kernel: 'fast'; expected one of 'closed-form', 'jacfwd'"):
         squared_mahalanobis(problem, kernel="fast")
+
+
+def test_rows_are_what_new_closures_add(world):
+    problem = consistency_problem(*world)
+    squared = np.asarray(squared_mahalanobis(problem))
+    rows = np.array([2, 0, len(squared) - 1])
+    forward, backward = squared_rows(problem, rows)
+    np.testing.assert_allclose(forward, squared[rows], rtol=1e-12)
+    np.testing.assert_allclose(backward, squared[:, rows].T, rtol=1e-12)

@@ -70,7 +70,7 @@ def test_a_stopped_sweep_goes_on(whole, tmp_path):
     class StoppedError(Exception):
         pass
 
-    def stop(done, worlds):
+    def stop(stage, done, worlds):
         raise StoppedError
 
     with pytest.raises(StoppedError):
@@ -79,7 +79,7 @@ def test_a_stopped_sweep_goes_on(whole, tmp_path):
     assert part.name == "worlds-0000000000-0000000064.parquet"
     (tmp_path / ".worlds-0000000064-0000000128.parquet.1").write_bytes(b"half")  # killed in writing
     before, seen = part.stat().st_mtime_ns, []
-    small_sweep(tmp_path, progress=lambda *done: seen.append(done))
+    small_sweep(tmp_path, progress=lambda stage, *done: seen.append(done))
     assert seen == [(128, WORLDS), (192, WORLDS), (WORLDS, WORLDS)]
     assert part.stat().st_mtime_ns == before
     assert rows_of(tmp_path).equals(whole)

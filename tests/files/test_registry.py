@@ -72,6 +72,10 @@ def test_content_of_no_format(write):
     path = write("one two three")
     with pytest.raises(FileFormatError, match=":1: 'one two three' begins no format known"):
         read_graph(path)
+    with pytest.raises(FileFormatError, match="; 3 numbers a line, where TUM's have 8, KITTI's 12"):
+        read_graph(write("1 2 3"))
+    with pytest.raises(FileFormatError, match="; g2o's lines begin with VERTEX_SE2"):
+        read_graph(write("VERTEX_SIM3 1 2 3"))
 
 
 def test_the_table_of_formats_is_the_registrys():

@@ -1,14 +1,17 @@
+import dataclasses
 import os
 
 import jaxlie
 import numpy as np
 import pytest
 
+from pcm_jax import lie
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files import read_graph, write_g2o
-from pcm_jax.graph import PoseGraph, split
+from pcm_jax.graph import MultiRobotGraph, PoseGraph, Priors, split
 from pcm_jax.lie import R1
 
+LABELS = [(ord("g") << 56 | ord(label) << 48) + np.arange(8) for label in "AB"]
 KEYS = {letter: (ord(letter) << 56) + np.arange(8) for letter in "abz"}
 
 
@@ -25,6 +28,8 @@ KEYS = {letter: (ord(letter) << 56) + np.arange(8) for letter in "abz"}
         (("z",), [KEYS["z"]]),
         (("not z",), [KEYS["z"]]),
         (("aa", "ab", "ac", "ad"), None),
+        (("A", "B"), LABELS),
+        (("left", "right"), LABELS),
     ],
 )
 def test_round_trip(tmp_path, make_robots, assert_same, group, names, known, ids, suffix):
@@ -167,3 +172,21 @@ def test_files_are_written_whole_or_not_at_all(tmp_path, make_robots, monkeypatc
 def test_devices_are_written_to(make_robots):
     write_g2o(os.devnull, make_robots(jaxlie.SE2))
     assert not os.path.isfile(os.devnull)  # noqa: PTH113
+
+
+def test_priors_round_trip(tmp_path, make_robots, group):
+    graph = make_robots(group, ("left", "right"))
+    one = graph.maps[0]
+    rows = np.array([2, 5])
+    priors = Priors(
+        rows, lie.take(lie.as_numpy(one.poses), rows), one.information[:2], np.full(2, "", object)
+    )
+    maps = (dataclasses.replace(one, priors=priors), graph.maps[1])
+    write_g2o(tmp_path / "graph.g2o", MultiRobotGraph(maps, graph.closures))
+    again = read_graph(tmp_path / "graph.g2o")
+    assert again.maps[1].priors is None
+    found = again.maps[0].priors
+    assert found.pose.tolist() == [2, 5]
+    apart = lie.log(lie.between(found.measurement, priors.measurement))
+    np.testing.assert_allclose(apart, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.information, priors.information, rtol=1e-12)

@@ -19,7 +19,7 @@ import pytest
 
 from pcm_jax import lie
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
-from pcm_jax.mapping import _callbacks, _gauss_newton, optimize
+from pcm_jax.mapping import _callbacks, _gauss_newton, least_squares, optimize
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.merging import merge_differentiable
@@ -117,8 +117,8 @@ def test_the_callers_device_and_settings_change_no_bit(elsewhere, setting):
         np.testing.assert_array_equal(found, expected)
 
 
-def called(lowered):
-    return set(re.findall(r"custom_call @([\w$.]+)", lowered.as_text()))
+def called(text):
+    return set(re.findall(r"custom_call @([\w$.]+)", text))
 
 
 def problem_of(graph):
@@ -136,7 +136,31 @@ def test_on_a_cpu_the_solver_calls_back_without_copies(world, solver):
     traced = jax.jit(lambda *a: _gauss_newton.least_squares(*a, **options).value).trace(
         *problem_of(world.maps[0])
     )
-    assert called(traced.lower()) == {BUFFERS}
+    assert called(traced.lower().as_text()) == {BUFFERS}
+
+
+def test_optimize_lowers_one_program_in_64_bits_for_the_cpu(world, monkeypatch):
+    """Whatever the caller's own types are: here those of JAX's default, of 32 bits."""
+    lowered, compiled = [], least_squares._compiled
+
+    def watched(*options):
+        run = compiled(*options)
+
+        def record(*arguments):
+            text = run.trace(*arguments).lower().as_text()
+            lowered.append((jax.config.jax_default_device, text))
+            return run(*arguments)
+
+        return record
+
+    monkeypatch.setattr(least_squares, "_compiled", watched)
+    with jax.enable_x64(False):
+        assert optimize(world.maps[0]).converged
+    ((device, text),) = lowered
+    assert device.platform == "cpu"
+    assert called(text) == {BUFFERS}
+    assert "xf64>" in text
+    assert "f32>" not in text
 
 
 def stub(call, struct, *arguments, vmap_method):
@@ -177,6 +201,6 @@ def test_both_ways_give_the_same_bits(monkeypatch, batched):
     copies = lambda *arguments, cpu, default: default(*arguments)  # noqa: E731
     monkeypatch.setattr(_callbacks.jax.lax, "platform_dependent", copies)
     lowered = jax.jit(functools.partial(run)).trace(*given).lower()
-    assert called(lowered) == {COPIES}
+    assert called(lowered.as_text()) == {COPIES}
     np.testing.assert_array_equal(lowered.compile()(*given), expected)
     np.testing.assert_array_equal(expected, given[0] @ given[1])

@@ -100,6 +100,29 @@ def test_moving_the_whole_map_changes_nothing(group, make_map):
     np.testing.assert_allclose(lie.as_matrix(other.graph.poses), lie.as_matrix(expected), atol=1e-7)
 
 
+@pytest.mark.parametrize("offset", [1e5, 5.4e6])
+def test_far_from_the_origin_rounding_is_no_reason_to_go_on(group, offset):
+    """A chain in UTM's coordinates: its optimum costs nothing, and only rounding is left of it."""
+    rng, d = np.random.default_rng(1), lie.tangent_dim(group)
+    steps = rng.normal(scale=0.02, size=(19, d))
+    steps[:, 0] += 1.0
+    poses = [lie.identity(group)]
+    for step in steps:
+        poses.append(lie.compose(poses[-1], lie.exp(group, step)))
+    values = np.array(lie.parameters(lie.stack(poses)))
+    values[:, -2:] += offset
+    chain = PoseGraph.from_arrays(
+        poses=group(values),
+        tail=np.arange(19),
+        head=np.arange(1, 20),
+        measurement=lie.exp(group, steps),
+        covariance=np.tile(np.diag(np.full(d, 0.02**2)), (19, 1, 1)),
+    )
+    solution = optimize(chain)
+    assert solution.converged
+    assert solution.iterations <= 3
+
+
 def test_repeated_edges_add_their_information(make_map):
     graph = make_map(noise=0.05)
     twice = PoseGraph.from_arrays(

@@ -137,7 +137,9 @@ def test_masks_of_another_length_are_refused(city, mask):
 
 
 def test_a_merge_says_how_much_it_accepted(city):
-    result = SimpleNamespace(graph=city.graph, accepted=city.is_true)
+    result = SimpleNamespace(
+        graph=city.graph, candidates=city.graph.closures, accepted=city.is_true
+    )
     ax = pyplot.figure().subplots()
     assert plots.plot_merge(result, ax) is ax
     assert ax.get_title() == "6 of 23 closures accepted"

@@ -182,7 +182,7 @@ def test_a_broken_chain_is_named_before_any_work(dirty, monkeypatch):
         name="dave",
     )
     monkeypatch.setattr("pcm_jax.selection.within_one_map.select_within", pytest.fail)
-    with pytest.raises(InputError, match="map 'dave': no edge joins poses dave1 and dave2"):
+    with pytest.raises(InputError, match="map 'dave': no edge joins poses dave:1 and dave:2"):
         clean_maps(MultiRobotGraph((dirty[0], looped)))
 
 

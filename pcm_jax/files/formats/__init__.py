@@ -3,10 +3,16 @@
 _registry       `Format`, and which one a file is in
 _tags           the columns of lines that begin with a tag
 _tagged         the reader of such lines
+_priors         the reader of lines that measure one pose
 g2o             pose graphs as g2o, and their writer
 toro, isam      the older text formats of pose graphs
 candidates      candidate closures as CSV
-tum             trajectories
+tum             trajectories: TUM, KITTI, EuRoC
+named_poses     trajectories as CSV with column names
+jrl             JSON Robot Logs, with labels and truth
+open3d          Open3D's pose graphs as JSON
+rtabmap         RTAB-Map's databases
+ros_bag         ROS bags of pose graphs
 gtsam_objects   GTSAM's factor graphs, in memory
 """
 

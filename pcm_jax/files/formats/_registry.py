@@ -111,8 +111,24 @@ def recognised(source: Source) -> Format:
     number, line = source.head[0]
     names = ", ".join(one.name for one in readable)
     raise FileFormatError(
-        source.path, number, f"{line[:40]!r} begins no format known, expected one of {names}"
+        source.path,
+        number,
+        f"{line[:40]!r} begins no format known, expected one of {names}{_nearest(line)}",
     )
+
+
+def _nearest(line: str) -> str:
+    """The formats that a line comes closest to."""
+    words = line.replace(",", " ").split()
+    if not words:
+        return ""
+    if words[0].upper().startswith(("VERTEX", "EDGE")):
+        return "; g2o's lines begin with VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT or EDGE_SE3:QUAT"
+    try:
+        [float(word) for word in words]
+    except ValueError:
+        return ""
+    return f"; {len(words)} numbers a line, where TUM's have 8, KITTI's 12 and EuRoC's 8 or more"
 
 
 HEAD = ("format", "holds", "read", "written", "information", "priors", "times", "labels")

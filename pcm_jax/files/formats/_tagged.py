@@ -8,7 +8,7 @@ import numpy as np
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import coordinates
-from pcm_jax.files.formats._priors import WIDTHS, read_priors
+from pcm_jax.files.formats._priors import OFFSETS, WIDTHS, read_priors
 from pcm_jax.files.formats._tags import COLUMNS, SILENT, TAGS, Tag, is_skipped
 from pcm_jax.files.pose_file import Lines, PoseFile, Reading, checked, in_order
 from pcm_jax.files.source import Source
@@ -54,6 +54,8 @@ def read_tagged(source: Source, reading: Reading) -> PoseFile:
     poses = in_order(group, vertices, 1)
     priors, unread = read_priors(rows, group, poses, reading)
     skipped = {tag: len(found) for tag, found in rows.items() if is_skipped(tag)}
+    if priors:
+        skipped.pop(OFFSETS, None)
     left_out = {
         tag: unread.get(tag, 0) if tag in WIDTHS else count for tag, count in skipped.items()
     }
@@ -78,7 +80,7 @@ def _format_of(known: dict[str, Rows]) -> str:
 
 
 def _is_bare(tag: Tag, rows: Rows) -> bool:
-    """Whether every line of a tag ends where its information would begin."""
+    """True if every line of a tag ends where its information would begin."""
     return tag.edge and bool((rows.widths == tag.width - tag.triangle).all())
 
 

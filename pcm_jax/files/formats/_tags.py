@@ -1,4 +1,4 @@
-"""What each line of a pose-graph file holds, by its first word.
+"""The lines of pose-graph files by their first word, and what they hold.
 
 | format | 2D | 3D |
 |---|---|---|
@@ -151,5 +151,5 @@ SKIPPED = ("POINT2", "POINT3", "EQUIV", "BR")
 
 
 def is_skipped(tag: str) -> bool:
-    """Whether a line is known and of no use to a pose graph."""
+    """True if a line is known and of no use to a pose graph."""
     return tag in SKIPPED or tag.startswith(SKIPPED_PREFIXES)

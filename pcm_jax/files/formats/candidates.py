@@ -158,7 +158,7 @@ def _group_of(rows: Rows, header: list[str] | None) -> type[Any]:
 
 
 class _Columns:
-    """Where each column is; without names, where it should be."""
+    """Places of the columns: by their names, or where they should be."""
 
     def __init__(self, rows: Rows, header: list[str] | None, group: type[Any]) -> None:
         self.coordinate = "angle" if group is jaxlie.SE2 else "quaternion"

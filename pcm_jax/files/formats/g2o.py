@@ -20,7 +20,7 @@ from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tagged import read_tagged, tagged_lines
 from pcm_jax.files.names import stem_of
 from pcm_jax.files.output import write_text
-from pcm_jax.files.scopes import ORDER_LINE, ROBOT_LINE, TABLE_COLUMNS, TABLE_LINE
+from pcm_jax.files.scopes import FRAME_LINE, ORDER_LINE, ROBOT_LINE, TABLE_COLUMNS, TABLE_LINE
 from pcm_jax.graph import symbols
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -29,7 +29,11 @@ IDS = ("original", "sequential")
 
 
 def write_g2o(
-    path: str | PathLike[str], graph: MultiRobotGraph | PoseGraph, *, ids: str = "original"
+    path: str | PathLike[str],
+    graph: MultiRobotGraph | PoseGraph,
+    *,
+    ids: str = "original",
+    frame: str = "",
 ) -> None:
     """Writes maps and closures as one g2o file, from which `read_graph` makes the same graph.
 
@@ -44,6 +48,7 @@ def write_g2o(
             name the robot by letter. Comments in the file say how to get names and ids back.
             "sequential": 0, 1, 2, … over all robots, as g2o_viewer expects, with a table of
             robots and ids beside the file: `merged.ids.csv` for `merged.g2o`.
+        frame: the robot in whose frame all poses stand, for a comment; none by default.
 
     Raises:
         FileFormatError: for a folder that does not exist or cannot be written to.
@@ -71,6 +76,8 @@ def write_g2o(
         header, keys = original_keys(graph.maps, own_name=stem_of(str(path)))
     if any((np.diff(pose_graph.ids) < 0).any() for pose_graph in graph.maps):
         header.append(ORDER_LINE)
+    if frame:
+        header.append(FRAME_LINE.format(name=frame))
     # At the end: GTSAM's reader of 2D files stops at the first line that it does not know.
     write_text(path, "\n".join([*_body(graph, keys), *header, ""]))
 
@@ -198,6 +205,22 @@ def _body(graph: MultiRobotGraph, keys: list[np.ndarray]) -> Iterable[str]:
     closures = graph.closures
     ends = closure_keys(graph, keys)
     yield from _lines("EDGE", ends, closures.measurement, closures.information)
+    yield from _prior_lines(graph, keys)
+
+
+def _prior_lines(graph: MultiRobotGraph, keys: list[np.ndarray]) -> Iterable[str]:
+    """Priors, after all that GTSAM's readers know."""
+    held = [(one.priors, ids) for one, ids in zip(graph.maps, keys, strict=True) if one.priors]
+    solid = graph.group is jaxlie.SE3
+    if held and solid:
+        yield "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1"
+    tag, offset = ("EDGE_SE3_PRIOR", " 0") if solid else ("EDGE_PRIOR_SE2", "")
+    for priors, ids in held:
+        numbers = coordinates.columns(np.asarray(lie.parameters(priors.measurement)))
+        triangle = coordinates.upper_triangle(np.asarray(priors.information))
+        rows = np.concatenate([numbers, triangle], axis=1).tolist()
+        for pose, row in zip(ids[priors.pose].tolist(), rows, strict=True):
+            yield f"{tag} {pose}{offset} {' '.join(map(repr, row))}"
 
 
 def closure_keys(graph: MultiRobotGraph, keys: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -232,5 +255,6 @@ G2O = register(
         write=write_g2o,
         suffixes=(".g2o",),
         information="kept",
+        priors="kept",
     )
 )

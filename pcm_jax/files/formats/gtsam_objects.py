@@ -29,7 +29,7 @@ from pcm_jax.graph.validation import Fault, argument_fault, check_information, c
 
 
 class _Kind(NamedTuple):
-    """What GTSAM has for a group: a pose from a matrix, factors, and our tangent's entries."""
+    """GTSAM's own for a group: a pose from a matrix, factors, and our tangent's entries."""
 
     group: type[Any]
     pose: Callable[[Any], Any]

@@ -141,7 +141,7 @@ _KINDS = {
 
 
 def _labels(whole: Member) -> dict[tuple[str, int, int], int]:
-    """What is known of measurements, by robot, entry and place; those not listed are true."""
+    """Labels of measurements, by robot, entry and place; those not listed are true."""
     labels: dict[tuple[str, int, int], int] = {}
     for name, label in (("potential_outlier_factors", TRUE), ("outlier_factors", FALSE)):
         if whole.has(name) and whole.at(name).value is not None:

@@ -38,7 +38,7 @@ _ROBOT_BITS = 40  # ids of several robots' poses side by side
 
 
 def _columns(source: Source) -> dict[str, int] | None:
-    """Where each column is, if the first line names a pose's and no other end's."""
+    """Places of the columns, if the first line names a pose's and no other end's."""
     if not source.head:
         return None
     line = source.head[0][1]

@@ -1,0 +1,95 @@
+"""Bags of pose graphs, written in the test."""
+
+import numpy as np
+import pytest
+
+from pcm_jax import lie
+from pcm_jax.errors import FileFormatError
+from pcm_jax.files import read_graph
+from pcm_jax.files.formats.ros_bag import definitions
+
+rosbags = pytest.importorskip("rosbags")
+
+
+@pytest.fixture
+def save(tmp_path):
+    """Writes messages of one topic to a ROS 2 bag; gives its folder."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    package = "pose_graph_tools_msgs"
+    for name, text in definitions(package).items():
+        store.register(get_types_from_msg(text, name))
+    types = store.types
+
+    def pose(x):
+        point = types["geometry_msgs/msg/Point"](float(x), 0.0, 0.0)
+        turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        return types["geometry_msgs/msg/Pose"](point, turn)
+
+    def header(seconds=0):
+        time = types["builtin_interfaces/msg/Time"](seconds, 500_000_000)
+        return types["std_msgs/msg/Header"](time, "world")
+
+    def node(robot, key, x):
+        return types[f"{package}/msg/PoseGraphNode"](header(key), robot, key, pose(x))
+
+    def edge(ends, x, kind=0, sigmas=(0.1, 0.1, 0.1, 1, 1, 1)):
+        (a, i), (b, k) = ends
+        covariance = np.diag(np.square(sigmas)).ravel().astype(np.float64)
+        kinds = types[f"{package}/msg/PoseGraphEdge"]
+        return kinds(header(), i, k, a, b, kind, pose(x), covariance)
+
+    def make(messages):
+        folder = tmp_path / "bag"
+        with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
+            kind = f"{package}/msg/PoseGraph"
+            connection = bag.add_connection("/graph", kind, typestore=store)
+            for k, (nodes, edges) in enumerate(messages):
+                message = types[kind](
+                    header(), [node(*one) for one in nodes], [edge(*one) for one in edges]
+                )
+                bag.write(connection, k, store.serialize_cdr(message, kind))
+        return folder
+
+    return make
+
+
+NODES = [(robot, key, float(key)) for robot in (0, 2) for key in range(3)]
+STEPS = [(((robot, key), (robot, key + 1)), 1.0) for robot in (0, 2) for key in range(2)]
+
+
+def test_graphs_of_several_messages(save):
+    closure = (((0, 1), (2, 2)), 7.0, 1)
+    rejected = (((0, 0), (2, 2)), 9.0, 3)
+    path = save([(NODES[:3], STEPS[:2]), (NODES, [*STEPS, closure, rejected]), (NODES, [closure])])
+    with pytest.warns(UserWarning, match=r"skipped 1 lines \(1 rejected closure\)"):
+        graph = read_graph(path)
+    assert graph.names == ("robot0", "robot2")
+    assert [one.num_edges for one in graph.maps] == [2, 2]
+    np.testing.assert_allclose(graph.maps[0].information[0], np.diag([1, 1, 1, 100, 100, 100]))
+    np.testing.assert_allclose(graph.maps[1].stamps, [0.5, 1.5, 2.5])
+    np.testing.assert_allclose(lie.translation(graph.closures.measurement)[:, 0], [7])
+    assert (graph.closures.pose_a.tolist(), graph.closures.pose_b.tolist()) == ([1], [2])
+
+
+def test_edges_without_a_covariance(save):
+    path = save([(NODES, [(*one, 0, (0,) * 6) for one in STEPS])])
+    with pytest.raises(FileFormatError, match=r"an edge without a covariance; .*--default-sigmas"):
+        read_graph(path)
+    graph = read_graph(path, default_sigmas=(0.1, 0.01))
+    np.testing.assert_allclose(graph.maps[0].information[0], np.diag([100] * 3 + [1e4] * 3))
+
+
+def test_a_bag_without_graphs(save):
+    with pytest.raises(FileFormatError, match="no messages of pose_graph_tools_msgs/PoseGraph"):
+        read_graph(save([]))
+
+
+def test_a_damaged_bag(save):
+    path = save([(NODES, STEPS)])
+    (path / "metadata.yaml").write_text("nothing: [")
+    with pytest.raises(FileFormatError, match="cannot be read as a bag: ") as caught:
+        read_graph(path)
+    assert "\n" not in str(caught.value)
