@@ -38,8 +38,8 @@ def select_from(
             `"clipper"`; or a function `(evidence, gate) -> bool [m]`, whose evidence has `squared`
             and `consistent(gate)`.
         with_certificate: whether to return the `Choice`: `members`, and the method's certificate.
-        **options: the method's own: `time_limit` and `tie_break` of `"pcm-exact"`, `time_limit`
-            of `"pcm-heuristic"`, `affinity` of `"scgp"`.
+        **options: the method's own: `weights`, `time_limit` and `tie_break` of `"pcm-exact"`,
+            `weights` and `time_limit` of `"pcm-heuristic"`, `affinity` of `"scgp"`.
 
     Returns:
         bool [m] (NumPy), or the `Choice`.
@@ -64,8 +64,8 @@ def choose(
     if not isinstance(method, str):
         return Choice(_checked_mask(method(evidence, gate), len(evidence), name_of(method)))
     if evidence.is_streamed and not needs_distances(method, options):
-        limit = {"time_limit": options.get("time_limit")}
-        return METHODS[method].choose_in(evidence.consistent(gate), **limit)  # type: ignore[misc]
+        own = {name: value for name, value in options.items() if name != "tie_break"}
+        return METHODS[method].choose_in(evidence.consistent(gate), **own)  # type: ignore[misc]
     return METHODS[method].choose(evidence.squared, gate, **options)
 
 

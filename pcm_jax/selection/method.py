@@ -19,8 +19,8 @@ class Choice:
 
     Attributes:
         members: bool [m] (NumPy).
-        optimal: whether it is proven that no larger pairwise consistent set exists; None for a
-            method that looks for something else.
+        optimal: whether it is proven that no larger pairwise consistent set exists (with weights:
+            no heavier one); None for a method that looks for something else.
         upper_bound: no pairwise consistent set has more members; None likewise.
     """
 
@@ -40,8 +40,8 @@ class SelectionMethod(NamedTuple):
         name: as users give it.
         choose: from squared distances [m, m] and γ², with its options as keyword-only arguments,
             to a `Choice`; NumPy, any m.
-        choose_in: the same from the consistency graph alone, bool [m, m], with `time_limit`; None
-            for a method that needs the distances.
+        choose_in: the same from the consistency graph alone, bool [m, m], with the options but
+            for `tie_break`; None for a method that needs the distances.
         kernel: the same as a pure function of one matrix and the gate, to bool [m]; None for a
             method of the host alone.
         entries: of the largest array within the kernel, by m, from which `select_batched` sizes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import hypothesis
 import hypothesis.strategies as st
@@ -125,7 +126,8 @@ def test_equal_weights_give_the_answer_without_weights_bit_for_bit():
     for seed in range(60):
         adjacency = random_graph(1 + seed, 0.5, seed)
         squared = np.random.default_rng(seed).random(adjacency.shape)
-        for options in ({}, {"tie_break": squared}, {"method": "heuristic"}, {"time_limit": 0.0}):
+        kinds: list[dict[str, Any]] = [{}, {"tie_break": squared}]
+        for options in (*kinds, {"method": "heuristic"}, {"time_limit": 0.0}):
             plain = maximum_clique(adjacency, **options)
             for weights in (np.ones(1 + seed), np.full(1 + seed, 7)):
                 clique = maximum_clique(adjacency, weights=weights, **options)
@@ -152,18 +154,18 @@ def test_weighted_search_of_equal_weights_is_the_search_without():
 
 def test_vertices_of_weight_0_are_never_members():
     everything = np.ones((5, 5), bool)
-    clique = maximum_clique(everything, weights=[0, 2, 0, 1, 0])
+    clique = maximum_clique(everything, weights=np.array([0, 2, 0, 1, 0]))
     assert (members(clique), clique.weight) == ((1, 3), 3)
     nothing = maximum_clique(everything, weights=np.zeros(5))
     assert (nothing.size, nothing.weight, nothing.weight_bound, nothing.optimal) == (0, 0, 0, True)
     assert maximum_clique(everything, weights=np.zeros(5), method="heuristic").size == 0
-    assert maximum_clique(np.zeros((0, 0), bool), weights=[]).weight == 0
+    assert maximum_clique(np.zeros((0, 0), bool), weights=np.array([])).weight == 0
 
 
 def test_one_heavy_vertex_outweighs_a_large_clique():
     adjacency = np.zeros((6, 6), bool)
     adjacency[1:, 1:] = True
-    clique = maximum_clique(adjacency, weights=[5.5, 1, 1, 1, 1, 1])
+    clique = maximum_clique(adjacency, weights=np.array([5.5, 1, 1, 1, 1, 1]))
     assert (members(clique), clique.weight, clique.upper_bound) == ((0,), 5.5, 5)
 
 
@@ -171,11 +173,11 @@ def test_floats_that_differ_by_rounding_are_ties_and_integers_never_are():
     # 0.1 + 0.2 > 0.3 in the last digit: {0} and {1, 2} weigh the same, and 0 comes first.
     adjacency = np.zeros((3, 3), bool)
     adjacency[1, 2] = adjacency[2, 1] = True
-    assert members(maximum_clique(adjacency, weights=[0.3, 0.1, 0.2])) == (0,)
-    assert members(maximum_clique(adjacency, weights=[0.3, 0.1, 0.2 + 1e-11])) == (1, 2)
+    assert members(maximum_clique(adjacency, weights=np.array([0.3, 0.1, 0.2]))) == (0,)
+    assert members(maximum_clique(adjacency, weights=np.array([0.3, 0.1, 0.2 + 1e-11]))) == (1, 2)
     large = 10**17
-    assert members(maximum_clique(adjacency, weights=[large, large - 1, 1])) == (0,)
-    assert members(maximum_clique(adjacency, weights=[large, large - 1, 2])) == (1, 2)
+    assert members(maximum_clique(adjacency, weights=np.array([large, large - 1, 1]))) == (0,)
+    assert members(maximum_clique(adjacency, weights=np.array([large, large - 1, 2]))) == (1, 2)
 
 
 def test_more_ties_than_are_remembered_take_the_first_of_each_part():
@@ -208,8 +210,53 @@ def test_bounds_and_decisions_of_the_weighted_graph_by_enumeration():
         assert graph.weight_bound(graph.everything) >= best, seed
         assert graph.uncovered(graph.everything, best - 1) != 0
         found = clique_of_weight(graph, graph.everything, best)
+        assert found is not None
         assert sum(graph.weights[label] for label in found) == best
         assert clique_of_weight(graph, graph.everything, best + 1) is None
+
+
+def literal_colouring(adjacency: np.ndarray, weights: np.ndarray, order: np.ndarray) -> int:
+    """The weighted colouring, one independent set and one unit of weight at a time."""
+    left, spent = weights.copy(), 0
+    while left.any():
+        chosen: list[int] = []
+        for vertex in order[::-1]:
+            if left[vertex] and not adjacency[vertex, chosen].any():
+                chosen.append(vertex)
+        left[chosen] -= 1
+        spent += 1
+    return spent
+
+
+@pytest.mark.parametrize("density", [0.1, 0.3, 0.6, 0.9])
+def test_weighted_colouring_is_the_literal_one(density):
+    for seed in range(40):
+        adjacency = random_graph(16, density, seed)
+        weights = np.random.default_rng(seed).integers(1, 6, 16)
+        graph = WeightedGraph(adjacency, weights.tolist(), weights.astype(float))
+        literal = literal_colouring(adjacency, weights, graph.vertices)
+        assert graph.weight_bound(graph.everything) == literal, seed
+        assert graph.uncovered(graph.everything, literal) == 0
+        assert graph.uncovered(graph.everything, literal - 1) != 0
+
+
+def test_an_unfinished_search_is_bounded_wherever_it_stops(monkeypatch):
+    for seed, adjacency, weights in cases(40, "integers", largest=15):
+        best = maximum_clique(adjacency, weights=weights).weight
+        graph = WeightedGraph(adjacency, weights.tolist(), weights.astype(float))
+        reading, stopped, weight = 0, True, 0
+        while stopped:
+            monkeypatch.setattr(_weighted, "perf_counter", itertools.count().__next__)
+            found = heaviest_cliques(graph, [1], lambda _: 0, deadline=reading)
+            stopped, weight = bool(found.unsettled), found.weight
+            assert weight <= best <= max(weight, graph.weight_bound(found.unsettled)), seed
+            reading += 1
+        assert weight == best
+
+
+def test_a_weight_that_is_nothing_beside_another_still_counts():
+    clique = maximum_clique(np.ones((2, 2), bool), weights=np.array([1e-30, 1.0]))
+    assert members(clique) == (0, 1)
 
 
 def test_local_search_looks_for_weight():
@@ -257,7 +304,7 @@ def test_weight_does_not_change_under_permutation_and_answers_repeat(size, densi
 )
 def test_bad_weights_are_named(weights, message):
     with pytest.raises(InputError, match=message):
-        maximum_clique(np.ones((3, 3), bool), weights=weights)
+        maximum_clique(np.ones((3, 3), bool), weights=np.asarray(weights))
 
 
 def test_negative_distances_are_refused_with_weights():
@@ -265,7 +312,7 @@ def test_negative_distances_are_refused_with_weights():
     squared[1, 2] = -1.0
     maximum_clique(np.ones((3, 3), bool), tie_break=squared)
     with pytest.raises(InputError, match=r"tie_break: \[1, 2\] is -1, expected at least 0"):
-        maximum_clique(np.ones((3, 3), bool), tie_break=squared, weights=[1, 2, 3])
+        maximum_clique(np.ones((3, 3), bool), tie_break=squared, weights=np.array([1, 2, 3]))
 
 
 def test_reprs_tell_the_weight_and_the_proof():

@@ -141,6 +141,22 @@ def test_any_kind_of_array():
     np.testing.assert_array_equal(squared, before)
 
 
+@pytest.mark.parametrize("method", ["pcm-exact", "pcm-heuristic"])
+def test_weights_outvote_a_larger_set(method):
+    # 0 and 1 agree, 2, 3 and 4 agree; the front end believes in the first two.
+    squared = np.full((5, 5), 9.0)
+    squared[:2, :2] = squared[2:, 2:] = 0.0
+    weights = np.array([2.0, 2.5, 1.0, 1.0, 1.0])
+    plain = select_from(squared, 1.0, method=method)
+    heavy = select_from(squared, 1.0, method=method, weights=weights, with_certificate=True)
+    assert plain.tolist() == [False, False, True, True, True]
+    assert heavy.members.tolist() == [True, True, False, False, False]
+    assert heavy.optimal
+    assert heavy.upper_bound >= 3  # the bound on the size holds
+    with pytest.raises(InputError, match=r"weights: shape \(4,\)"):
+        select_from(squared, 1.0, method=method, weights=weights[:4])
+
+
 @pytest.mark.parametrize(
     ("squared", "gate", "options", "message"),
     [

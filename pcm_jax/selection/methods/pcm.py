@@ -31,40 +31,61 @@ def pcm_exact(
     squared: Float[np.ndarray, "m m"],
     gate: float,
     *,
+    weights: Float[np.ndarray, " m"] | None = None,
     time_limit: float | None = None,
     tie_break: str = "index",
 ) -> Choice:
-    """The largest pairwise consistent set, proven.
+    """The largest pairwise consistent set, proven; with weights, the heaviest.
 
     Args:
         squared: squared distances, not symmetrised: both directions must pass.
         gate: γ².
+        weights: of the measurements, finite and at least 0; one of weight 0 is never kept.
         time_limit: seconds, see `maximum_clique`.
-        tie_break: which of several largest sets: `"index"`, or `"distance"` (the least total
-            squared distance, then index).
+        tie_break: which of several largest (heaviest) sets: `"index"`, or `"distance"` (the least
+            total squared distance, then index).
     """
     if tie_break not in TIE_BREAKS:
         raise InputError(f"tie_break: {tie_break!r}, expected one of {', '.join(TIE_BREAKS)}")
     graph = consistent_pairs(squared, gate)
     distances = np.where(graph, squared, 0.0) if tie_break == "distance" else None
-    return _choice(maximum_clique(graph, time_limit=time_limit, tie_break=distances))
+    return _choice(
+        maximum_clique(graph, weights=weights, time_limit=time_limit, tie_break=distances)
+    )
 
 
 def pcm_heuristic(
-    squared: Float[np.ndarray, "m m"], gate: float, *, time_limit: float | None = None
+    squared: Float[np.ndarray, "m m"],
+    gate: float,
+    *,
+    weights: Float[np.ndarray, " m"] | None = None,
+    time_limit: float | None = None,
 ) -> Choice:
     """A large pairwise consistent set, greedily (HeuPatt, the paper's choice for large m)."""
-    return pcm_heuristic_in(consistent_pairs(squared, gate), time_limit=time_limit)
+    graph = consistent_pairs(squared, gate)
+    return pcm_heuristic_in(graph, weights=weights, time_limit=time_limit)
 
 
-def pcm_exact_in(graph: Bool[np.ndarray, "m m"], *, time_limit: float | None = None) -> Choice:
+def pcm_exact_in(
+    graph: Bool[np.ndarray, "m m"],
+    *,
+    weights: Float[np.ndarray, " m"] | None = None,
+    time_limit: float | None = None,
+) -> Choice:
     """`pcm_exact` of a consistency graph, ties by index."""
-    return _choice(maximum_clique(graph, time_limit=time_limit))
+    return _choice(maximum_clique(graph, weights=weights, time_limit=time_limit))
 
 
-def pcm_heuristic_in(graph: Bool[np.ndarray, "m m"], *, time_limit: float | None = None) -> Choice:
+def pcm_heuristic_in(
+    graph: Bool[np.ndarray, "m m"],
+    *,
+    weights: Float[np.ndarray, " m"] | None = None,
+    time_limit: float | None = None,
+) -> Choice:
     """`pcm_heuristic` of a consistency graph."""
-    return _choice(maximum_clique(graph, method="heuristic", time_limit=time_limit))
+    return _choice(
+        maximum_clique(graph, method="heuristic", weights=weights, time_limit=time_limit)
+    )
 
 
 def _choice(clique: Clique) -> Choice:
