@@ -29,6 +29,7 @@ def relative_covariance(
     adjoint: Float[np.ndarray, "k d d"] | None,
     order: Int[np.ndarray, " k"],
     size: int,
+    d: int,
 ) -> Float[np.ndarray, "packed size size"]:
     """Forms G, packed, rows and columns in another order.
 
@@ -37,9 +38,9 @@ def relative_covariance(
         adjoint: Ad of every pose, in the frame that G is wanted in; None: they are left already.
         order: the pose that each row of G stands for.
         size: rows of the result, at least k; those beyond k are zero.
+        d: tangent dimensions.
     """
     count = len(order)
-    d = len(joint) // count if count else 3
     packed = shareable_zeros((d * (d + 1) // 2, size, size))
     if count == 0:
         return packed

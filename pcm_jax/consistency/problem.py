@@ -252,8 +252,9 @@ def _touched(touching: Int[np.ndarray, " m"]) -> _Touched:
 def _asked(covariance: MapCovariance, touching: Int[np.ndarray, " m"]) -> _OneMap:
     """A map's share of a problem, by its own covariance, which needs no check."""
     touched = _touched(touching)
+    d = covariance.pose_graph.tangent_dim
     joint = covariance.joint(touched.poses[touched.order], side="left")
-    relative = relative_covariance(joint, None, np.arange(len(touched.order)), touched.size)
+    relative = relative_covariance(joint, None, np.arange(len(touched.order)), touched.size, d)
     return _OneMap(lie.take(covariance.frame, touching), touched.rows, relative)
 
 
@@ -262,10 +263,10 @@ def _given(
 ) -> _OneMap:
     """A map's share of a problem, by the joint covariance that a user gives."""
     touched, frame = _touched(touching), recentred(lie.as_numpy(pose_graph.poses))
-    size = len(touched.poses) * pose_graph.tangent_dim
-    joint = checked_joint(joint, size, name)
+    d = pose_graph.tangent_dim
+    joint = checked_joint(joint, len(touched.poses) * d, name)
     adjoint = np.asarray(lie.adjoint(lie.take(frame, touched.poses)))
-    relative = relative_covariance(joint, adjoint, touched.order, touched.size)
+    relative = relative_covariance(joint, adjoint, touched.order, touched.size, d)
     return _OneMap(lie.take(frame, touching), touched.rows, relative)
 
 

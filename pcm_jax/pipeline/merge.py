@@ -152,7 +152,7 @@ def _checked(
         own = {name: value for name, value in options.items() if name != "optimized"}
         check_robust_options(method, own)
         refused = [n for n in ("time_limit",) if n in asked] + ["room_for"] * room
-        kind, what = "robust", f"method {method!r}"
+        kind, what = "robust", ""
     elif accepted is not None or method == EVERYTHING:
         if not isinstance(method, str) or method not in (*ROBUST_METHODS, EVERYTHING):
             check_method(method, {}, (*ROBUST_METHODS, EVERYTHING))
@@ -166,6 +166,8 @@ def _checked(
         check_method(method, own | limit, (*ROBUST_METHODS, EVERYTHING))
         return "select"
     for name in refused:
+        if kind == "robust":
+            raise InputError(f"{name}: not an option of method {method!r}")
         raise InputError(f"{name}: not an option that goes with {what}")
     return kind
 

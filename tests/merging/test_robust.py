@@ -259,7 +259,7 @@ def test_robots_that_only_rejected_closures_connect_are_apart():
     np.testing.assert_allclose(lie.as_matrix(found), lie.as_matrix(expected), atol=0.02)
     report = result.report()
     assert report["method"] == "dcs"
-    assert report["confidence"] is None
+    assert (report["confidence"], report["gate"]) == (0.99, result.gate)
     assert [pair["accepted"] for pair in report["robot_pairs"]] == [0, 4]
     assert [pair["optimal"] for pair in report["robot_pairs"]] == [None, None]
     assert result.selection is None
