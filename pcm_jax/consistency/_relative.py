@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from pcm_jax.arrays import shareable_zeros
 from pcm_jax.errors import InputError
 from pcm_jax.lie import unrolled
+from pcm_jax.sparse import registry
 
 PANEL = 4  # poses
 TILE = 96  # rows and columns of a matrix that is compared with its transpose
@@ -44,35 +45,38 @@ def relative_covariance(
     packed = shareable_zeros((d * (d + 1) // 2, size, size))
     if count == 0:
         return packed
-    if not np.array_equal(order, np.arange(count)):
-        rows = (order[:, None] * d + np.arange(d)).ravel()
-        joint = joint[np.ix_(rows, rows)]
-        adjoint = None if adjoint is None else adjoint[order]
+    places = (order[:, None] * d + np.arange(d)).ravel()
+    adjoint = None if adjoint is None else adjoint[order]
     row, column = np.transpose(unrolled.packed_indices(d))
-    every = np.arange(count)
-    own = joint.reshape(count, d, count, d)[every, :, every]
+    own = joint.reshape(count, d, count, d)[order, :, order]
     if adjoint is not None:
         own = adjoint @ own @ adjoint.swapaxes(1, 2)
     own = own[:, row, column].T
     grouped = None if adjoint is None else _block_diagonals(adjoint)
-    for start in range(0, count, PANEL):
-        block = _panel(joint, grouped, start, count, d)  # [a, b, i, j]
-        i, j = slice(start, start + block.shape[2]), slice(start, count)
-        found = block[row, column]
-        found += block[column, row]
-        np.subtract(own[:, None, j], found, out=found)
-        found += own[:, i, None]
-        packed[:, i, j] = found
-        packed[:, j, i] = found.swapaxes(1, 2)
+    with registry.blas.one():  # threads cost many times what products of 24 x 24 take
+        for start in range(0, count, PANEL):
+            block = _panel(joint, grouped, start, places, d)  # [a, b, i, j]
+            i, j = slice(start, start + block.shape[2]), slice(start, count)
+            found = block[row, column]
+            found += block[column, row]
+            np.subtract(own[:, None, j], found, out=found)
+            found += own[:, i, None]
+            packed[:, i, j] = found
+            packed[:, j, i] = found.swapaxes(1, 2)
     return packed
 
 
 def _panel(
-    joint: np.ndarray, grouped: np.ndarray | None, start: int, count: int, d: int
+    joint: np.ndarray, grouped: np.ndarray | None, start: int, places: np.ndarray, d: int
 ) -> Float[np.ndarray, "d d rows columns"]:
     """C of a panel's poses with all from its first on."""
+    count = len(places) // d
     rows, columns = min(PANEL, count - start), count - start
-    right = joint[start * d : (start + rows) * d, start * d :]
+    chosen = slice(start * d, (start + rows) * d)
+    if places[0] == 0 and (np.diff(places) == 1).all():  # in order already: nothing to copy
+        right = joint[chosen, start * d :]
+    else:
+        right = np.take(joint[places[chosen]], places[start * d :], axis=1)
     if grouped is None:
         left = right.reshape(rows, d, columns, d)
         return np.ascontiguousarray(left.transpose(1, 3, 0, 2))
@@ -81,8 +85,8 @@ def _panel(
     groups, width = len(grouped) - start // PANEL, PANEL * d
     wide = np.zeros((rows * d, groups * width))
     wide[:, : columns * d] = right
-    blocks = wide.reshape(rows * d, groups, width).swapaxes(0, 1)
-    left = blocks @ grouped[start // PANEL :].swapaxes(1, 2)
+    blocks = np.ascontiguousarray(wide.reshape(rows * d, groups, width).swapaxes(0, 1))
+    left = blocks @ np.ascontiguousarray(grouped[start // PANEL :].swapaxes(1, 2))
     left = left.reshape(groups, rows, d, PANEL, d).transpose(2, 4, 1, 0, 3)
     return left.reshape(d, d, rows, groups * PANEL)[..., :columns]
 
