@@ -16,9 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.problem import ConsistencyProblem, problem_from_covariances
 from pcm_jax.consistency.streaming import PackedGraph
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.mapping import MapCovariance
 
 KEPT_GATES = 2
 """Streamed graphs that a pair of robots keeps, of the gates asked for last."""
@@ -34,14 +36,17 @@ class PairEvidence:
         closures: int64 [k], their indices among the graph's closures, ascending.
         measured: the closures themselves, turned to run from a to b; None where there are none to
             speak of (`from_squared`).
+        covariances: a `MapCovariance` of map a and of map b; None likewise.
     """
 
     robot_a: int
     robot_b: int
     closures: Int[np.ndarray, " k"]
     measured: LoopClosures | None = None
+    covariances: tuple[MapCovariance, MapCovariance] | None = None
     _squared: Float[np.ndarray, "k k"] | None = None
     _stream: Callable[[float], PackedGraph] | None = None
+    _metric: Callable[[LoopClosures], Float[np.ndarray, "k k"]] | None = None
     _kept: OrderedDict[float, PackedGraph] = field(default_factory=OrderedDict)
     _lock: Any = field(default_factory=threading.Lock)
 
@@ -55,7 +60,7 @@ class PairEvidence:
         Raises:
             InputError: unless it is a square matrix of numbers.
         """
-        return cls(0, 1, np.arange(len(squared)), None, checked_squared(squared))
+        return cls(0, 1, np.arange(len(squared)), _squared=checked_squared(squared))
 
     def __len__(self) -> int:
         return len(self.closures)
@@ -86,6 +91,16 @@ class PairEvidence:
                 f"and {self.robot_b}, expected a larger memory_limit for them"
             )
         return self._squared
+
+    def problem(self) -> ConsistencyProblem:
+        """Gathers the input of Q anew: Mahalanobis evidence does not keep what is easily rebuilt.
+
+        Raises:
+            InputError: for evidence of another metric, or of a matrix of one's own.
+        """
+        if self.covariances is None or self.measured is None or self._metric is not None:
+            raise InputError("problem: these distances are a metric's own, expected Mahalanobis")
+        return problem_from_covariances(*self.covariances, self.measured)
 
     def packed(self, gate: float) -> PackedGraph:
         """The consistency graph, one bit a pair; a streamed one is kept for the last gates."""

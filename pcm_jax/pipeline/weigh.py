@@ -88,18 +88,17 @@ def weigh(
     for number, (a, b) in enumerate(between):
         tell("consistency", number, len(between))
         closures, indices = graph.closures.between(a, b)
+        both = covariances[a], covariances[b]
+        found: dict[str, Any] = {}
         if callable(metric):
+            own = functools.partial(_measured, metric, maps[a], maps[b])
             with watch("consistency"):
-                own = _measured(metric, maps[a], maps[b], closures)
-            pairs.append(PairEvidence(a, b, indices, closures, own))
+                found |= {"_squared": own(closures), "_metric": own}
         elif bytes_needed(closures) > memory_limit:
-            stream = functools.partial(
-                _streamed, covariances[a], covariances[b], closures, progress=tell
-            )
-            pairs.append(PairEvidence(a, b, indices, closures, None, stream))
+            found["_stream"] = functools.partial(_streamed, *both, closures, progress=tell)
         else:
-            squared = _weighed(covariances[a], covariances[b], closures, watch)
-            pairs.append(PairEvidence(a, b, indices, closures, squared))
+            found["_squared"] = _weighed(*both, closures, watch)
+        pairs.append(PairEvidence(a, b, indices, closures, both, **found))
     tell("consistency", len(between), len(between))
     name = getattr(metric, "__name__", "function") if callable(metric) else MAHALANOBIS
     return Evidence(graph, maps, covariances, tuple(pairs), name, watch.seconds)
