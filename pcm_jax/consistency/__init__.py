@@ -15,6 +15,7 @@ _single_precision   what float32 would change
 gate                `chi2_gate`: how large a squared distance two right closures may have
 graph               `consistency_graph`: an edge where a pair passes in both directions
 streaming           all of it for tens of thousands of closures, panel by panel, straight to bits
+shuffled            the pairs that agree once measurements are shuffled: what chance does
 evidence            `Evidence`: what every pair of robots' closures say of each other
 """
 
@@ -28,6 +29,7 @@ from pcm_jax.consistency.problem import (
     consistency_problem,
     problem_from_covariances,
 )
+from pcm_jax.consistency.shuffled import ConsistentPairs
 from pcm_jax.consistency.streaming import (
     PackedGraph,
     stream_consistency_graph,
@@ -36,6 +38,7 @@ from pcm_jax.consistency.streaming import (
 from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
 
 __all__ = [
+    "ConsistentPairs",
     "ConsistencyProblem",
     "Evidence",
     "PackedGraph",

@@ -164,6 +164,23 @@ def weigh(
     return tuple(_weighted_square(module, t, error, fixed, side_b, both_sides) for t in (t_v, t_u))
 
 
+def squared_one_way(
+    module: ModuleType, t_u: Any, t_v: Any, at: Any, fixed: Any, side_b: Any
+) -> Any:
+    """One direction's q² of pairs between two maps, on NumPy arrays as on JAX's.
+
+    Args:
+        module: of the group.
+        t_u: entries of T_u, one a pair.
+        t_v: of T_v.
+        at: the one of them whose adjoint turns map b's share: T_v for q²_uv, T_u for q²_vu.
+        fixed: Ga_ij + Z_u + Z_v, packed.
+        side_b: Gb_kl, packed.
+    """
+    error = module.log(module.compose(t_v, module.inverse(t_u)))
+    return unrolled.inverse_quadratic_form(_total(module, at, fixed, side_b, None), error)
+
+
 def _two_maps(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:
     """Ga_ij and Gb_kl, packed, of all pairs of a tile."""
     side_a = gather(problem.relative_covariance_a, problem.row_a[u], problem.row_a[v])

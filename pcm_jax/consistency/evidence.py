@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.consistency.graph import consistency_graph
 from pcm_jax.consistency.problem import ConsistencyProblem, problem_from_covariances
+from pcm_jax.consistency.shuffled import ShuffledByMetric, ShuffledClosures
 from pcm_jax.consistency.streaming import PackedGraph
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
@@ -101,6 +102,35 @@ class PairEvidence:
         if self.covariances is None or self.measured is None or self._metric is not None:
             raise InputError("problem: these distances are a metric's own, expected Mahalanobis")
         return problem_from_covariances(*self.covariances, self.measured)
+
+    @property
+    def maps(self) -> tuple[PoseGraph, PoseGraph] | None:
+        """The two optimised maps; None where there are none to speak of."""
+        return None if self.covariances is None else tuple(c.pose_graph for c in self.covariances)  # type: ignore[return-value]
+
+    def shuffles(
+        self,
+        gate: float,
+        among: Int[np.ndarray, " c"] | None = None,
+        joined: Bool[np.ndarray, "c c"] | None = None,
+    ) -> ShuffledClosures | ShuffledByMetric:
+        """Prepares some closures (all, by default) to have their measurements shuffled.
+
+        Args:
+            gate: γ².
+            among: `[c]` indices among the k.
+            joined: the pairs that may have an edge; None: all.
+
+        Raises:
+            InputError: for distances alone.
+        """
+        if self.covariances is None or self.measured is None:
+            raise InputError("evidence: distances alone given, expected closures between two maps")
+        chosen = self.measured if among is None else self.measured[among]
+        if self._metric is not None:
+            return ShuffledByMetric(chosen, self._metric, gate, joined)
+        problem = problem_from_covariances(*self.covariances, chosen)
+        return ShuffledClosures(problem, gate, joined)
 
     def packed(self, gate: float) -> PackedGraph:
         """The consistency graph, one bit a pair; a streamed one is kept for the last gates."""

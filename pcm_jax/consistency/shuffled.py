@@ -1,0 +1,253 @@
+"""Consistent pairs among closures whose measurements are shuffled among them. Host, NumPy.
+
+What a shuffle leaves as it is, is found once: the maps, and G. Of q²_uv (`_closed_form`) only
+T = X z Y⁻¹ and Z change. Nearly all pairs of shuffled closures contradict each other by their
+headings alone. Let φ be the rotation's share of the error and M_φφ its covariance, a block of M:
+
+    q²  ≥  φᵀ M_φφ⁻¹ φ  ≥  |φ|² / tr M_φφ,     tr M_φφ = tr Ga_φφ + tr Gb_φφ + tr Σu_φφ + tr Σv_φφ
+
+since Ad(T) only turns the rotation's block. As cos x ≥ 1 − x²/2, a pair within the gate has
+
+    cos φ  ≥  1 − γ² tr M_φφ / 2,      cos φ = R_u : R_v in the plane (first columns),
+                                               (R_u : R_v − 1) / 2 in space
+
+which one product of small matrices shows for all pairs; only those that pass are weighed. None is
+where too few do for a clique as large as is asked for: closures of too low a degree leave until
+none does. So the larger the set that shuffles are compared with, the less one costs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pcm_jax import lie
+from pcm_jax.consistency._closed_form import squared_one_way
+from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.problem import ConsistencyProblem
+from pcm_jax.lie import unrolled
+
+if TYPE_CHECKING:
+    from pcm_jax.graph import LoopClosures
+
+PAIRS_AT_ONCE = 1 << 20
+"""Pairs of closures that are looked at together, over all shuffles."""
+CHUNK = 4096
+"""Pairs that are weighed together: what they take stays in a core's cache."""
+SLACK = 1e-5
+"""By which rounding to single precision may move a sum of a few cosines."""
+
+
+class ConsistentPairs(NamedTuple):
+    """The pairs of closures that agree, of several shuffles.
+
+    Attributes:
+        shuffle: int64 [p], ascending.
+        u: int64 [p].
+        v: int64 [p], greater than u.
+        squared: float64 [p], the larger q² of the two directions.
+    """
+
+    shuffle: Int[np.ndarray, " p"]
+    u: Int[np.ndarray, " p"]
+    v: Int[np.ndarray, " p"]
+    squared: Float[np.ndarray, " p"]
+
+    def of(self, shuffle: int) -> ConsistentPairs:
+        """Those of one shuffle."""
+        own = slice(*np.searchsorted(self.shuffle, [shuffle, shuffle + 1]))
+        return ConsistentPairs(*(each[own] for each in self))
+
+    def peeled(self, at_least: int) -> ConsistentPairs:
+        """Leaves out pairs of closures that agree with too few others for a clique so large."""
+        count = 1 + int(self.v.max(initial=0))
+        kept = _peeled(self.shuffle, self.u, self.v, count, at_least)
+        return ConsistentPairs(*(each[kept] for each in self))
+
+
+class ShuffledClosures:
+    """The closures between two robots, ready to have their measurements shuffled.
+
+    Args:
+        problem: of the k closures, float64, see `PairEvidence.problem`.
+        gate: γ².
+        joined: bool [k, k], symmetric: the pairs that are of interest; None: all.
+    """
+
+    def __init__(
+        self,
+        problem: ConsistencyProblem,
+        gate: float,
+        joined: Bool[np.ndarray, "k k"] | None = None,
+    ) -> None:
+        count = int(np.count_nonzero(np.asarray(problem.valid)))
+        self.count, self.gate = count, gate
+        self._module = lie.module_of(lie.group_of(problem.measurement))
+        self._measured = _entries(problem.measurement, count)
+        self._pose_a = _entries(problem.pose_a, count)
+        self._from_b = self._module.inverse(_entries(problem.pose_b, count))
+        self._covariance = np.asarray(problem.measurement_covariance)[:count]
+        self._turning = _rotation_axes(self._covariance.shape[-1])
+        self._own_spread = sum(self._covariance[:, axis, axis] for _, axis in self._turning)
+        self._rows = np.asarray(problem.row_a)[:count], np.asarray(problem.row_b)[:count]
+        self._relative = (
+            np.asarray(problem.relative_covariance_a),
+            np.asarray(problem.relative_covariance_b),
+        )
+        self._floor = self._least_cosines(joined)
+
+    @property
+    def together(self) -> int:
+        """The number of shuffles that are best weighed at once."""
+        return max(1, PAIRS_AT_ONCE // max(1, self.count**2))
+
+    def weigh(self, order: Int[np.ndarray, "b k"], *, at_least: int = 0) -> ConsistentPairs:
+        """Weighs shuffles.
+
+        Args:
+            order: `[b, k]`: closure u gets the measurement, and its covariance, of `order[·, u]`.
+            at_least: size of the cliques that are of interest: pairs that no clique so large has
+                may be left out.
+        """
+        measured = tuple(entry[order] for entry in self._measured)
+        reached = self._module.compose(self._pose_a, measured)
+        placed = _full(order, self._module.compose(reached, self._from_b))
+        near = self._near(order, placed)
+        kept = _peeled(*near, self.count, at_least)
+        pairs = tuple(each[kept] for each in near)
+        covariance = unrolled.from_array(self._covariance[order])
+        noise = _full(order, unrolled.pack(self._module.adjoint_sandwich(reached, covariance)))
+        larger = np.empty(len(pairs[0]))
+        for start in range(0, len(larger), CHUNK):
+            part = slice(start, start + CHUNK)
+            larger[part] = self._squared(*(each[part] for each in pairs), placed, noise)
+        inside = larger <= self.gate
+        return ConsistentPairs(*(each[inside] for each in pairs), larger[inside])
+
+    def _least_cosines(self, joined: np.ndarray | None) -> Float[np.ndarray, "k k"]:
+        """1 − γ² (tr Ga_φφ + tr Gb_φφ) / 2, float32; infinite where a pair is of no interest."""
+        spread = np.zeros((self.count, self.count))
+        for relative, rows in zip(self._relative, self._rows, strict=True):
+            for entry, _ in self._turning:
+                spread += relative[entry][np.ix_(rows, rows)]
+        least = 1.0 - SLACK - 0.5 * self.gate * spread
+        wanted = np.ones_like(least, bool) if joined is None else joined
+        return np.where(np.triu(wanted, 1), least, np.inf).astype(np.float32)
+
+    def _near(self, order: np.ndarray, placed: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pairs (shuffle, u, v) that headings alone do not tell apart."""
+        own = 0.5 * self.gate * self._own_spread[order]
+        if len(self._turning) == 1:
+            turned, shift = list(placed[:2]), own
+        else:  # the trace of a relative rotation is 1 + 2 cos φ
+            rotation = self._module.to_matrix(placed)
+            half = np.sqrt(0.5)
+            turned = [half * rotation[i][j] for i in range(3) for j in range(3)]
+            shift = own - 0.25
+        one = np.ones_like(own)
+        left = np.stack([*turned, shift, one], axis=-1).astype(np.float32)
+        right = np.stack([*turned, one, shift], axis=-1).astype(np.float32)
+        at = np.flatnonzero(left @ right.swapaxes(1, 2) >= self._floor)
+        shuffle, pair = np.divmod(at, self.count**2)
+        return shuffle, *np.divmod(pair, self.count)
+
+    def _squared(
+        self, shuffle: np.ndarray, u: np.ndarray, v: np.ndarray, placed: Any, noise: Any
+    ) -> Float[np.ndarray, " p"]:
+        """The larger q² of either direction; infinite where the first is outside already."""
+        side_a, side_b = (
+            relative[:, rows[u], rows[v]]
+            for relative, rows in zip(self._relative, self._rows, strict=True)
+        )
+        fixed = tuple(
+            side + z[shuffle, u] + z[shuffle, v] for side, z in zip(side_a, noise, strict=True)
+        )
+        t_u, t_v = (tuple(entry[shuffle, end] for entry in placed) for end in (u, v))
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            forward = squared_one_way(self._module, t_u, t_v, t_v, fixed, side_b)
+            inside = np.flatnonzero(forward <= self.gate)
+            ends = (tuple(entry[inside] for entry in t) for t in (t_u, t_v, t_u))
+            rest = tuple(entry[inside] for entry in fixed), side_b[:, inside]
+            backward = squared_one_way(self._module, *ends, *rest)
+        result = np.full(len(u), np.inf)
+        result[inside] = np.where(np.isnan(backward), np.inf, np.fmax(forward[inside], backward))
+        return result
+
+
+class ShuffledByMetric:
+    """Closures of a metric of one's own, with the face of `ShuffledClosures`.
+
+    Args:
+        closures: all from one robot to one other.
+        metric: from closures to squared distances [k, k].
+        gate: γ².
+        joined: bool [k, k], the pairs that are of interest; None: all.
+    """
+
+    together = 1
+
+    def __init__(
+        self,
+        closures: LoopClosures,
+        metric: Callable[[LoopClosures], Float[np.ndarray, "k k"]],
+        gate: float,
+        joined: Bool[np.ndarray, "k k"] | None = None,
+    ) -> None:
+        self.count, self.gate = len(closures), gate
+        self._closures, self._metric = closures, metric
+        wanted = np.ones((self.count, self.count), bool) if joined is None else joined
+        self._joined = np.triu(wanted, 1)
+
+    def weigh(self, order: Int[np.ndarray, "b k"], *, at_least: int = 0) -> ConsistentPairs:
+        """Weighs shuffles, one after another; see `ShuffledClosures.weigh`."""
+        del at_least
+        found = []
+        for shuffle, each in enumerate(order):
+            squared = np.asarray(self._metric(_reordered(self._closures, each)))
+            u, v = np.nonzero(consistency_graph(squared, self.gate) & self._joined)
+            larger = np.maximum(squared[u, v], squared[v, u])
+            found.append((np.full(len(u), shuffle), u, v, larger))
+        return ConsistentPairs(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _entries(transforms: Any, count: int) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(entry)[:count] for entry in lie.components(transforms))
+
+
+def _full(order: np.ndarray, entries: Any) -> tuple[np.ndarray, ...]:
+    return tuple(np.broadcast_to(entry, order.shape) for entry in entries)
+
+
+def _rotation_axes(d: int) -> list[tuple[int, int]]:
+    """Where a packed covariance has the variances of the rotation, and their axes."""
+    first = 2 if d == 3 else 3
+    packed = unrolled.packed_indices(d)
+    return [(entry, i) for entry, (i, j) in enumerate(packed) if i == j and i >= first]
+
+
+def _peeled(
+    shuffle: np.ndarray, u: np.ndarray, v: np.ndarray, count: int, at_least: int
+) -> Int[np.ndarray, " q"]:
+    """Indices of the pairs left when closures with too few for a clique so large have gone."""
+    kept = np.arange(len(u))
+    while at_least > 2 and len(kept):
+        ends = shuffle[kept] * count + u[kept], shuffle[kept] * count + v[kept]
+        degree = np.bincount(np.concatenate(ends))
+        enough = (degree[ends[0]] >= at_least - 1) & (degree[ends[1]] >= at_least - 1)
+        if enough.all():
+            break
+        kept = kept[enough]
+    return kept
+
+
+def _reordered(closures: LoopClosures, order: np.ndarray) -> LoopClosures:
+    return dataclasses.replace(
+        closures,
+        measurement=lie.take(lie.as_numpy(closures.measurement), order),
+        information=np.asarray(closures.information)[order],
+        weight=np.asarray(closures.weight)[order],
+    )
