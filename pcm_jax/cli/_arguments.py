@@ -112,9 +112,25 @@ def _merge(commands: Any) -> None:
     )
     merge.add_argument(
         "--minimum-inliers",
-        type=int,
-        metavar="N",
-        help="two robots that accept fewer closures accept none (default: 2)",
+        type=_minimum,
+        metavar="chance|N",
+        help="chance: two robots are merged if closures of which none is right would hardly agree "
+        "as well as those that do; N: if as many closures agree (default: chance; 2 for robust "
+        "methods)",
+    )
+    merge.add_argument(
+        "--significance",
+        type=float,
+        metavar="P",
+        help="probability that any two robots are merged none of whose closures is right, see "
+        "--minimum-inliers chance (default: 0.01)",
+    )
+    merge.add_argument(
+        "--separation",
+        type=float,
+        metavar="M",
+        help="metres along the way of either robot from which on closures count as two witnesses "
+        "(default: 10)",
     )
     merge.add_argument(
         "--time-limit",
@@ -141,7 +157,7 @@ def _merge(commands: Any) -> None:
         ("plot", "a picture of the merged maps"),
     ):
         merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")
-    _seed(merge, "accepted for all commands; no method of today draws random numbers", None)
+    _seed(merge, "of the shuffles that --minimum-inliers chance makes (default: 0)", None)
 
 
 def _inspect(commands: Any) -> None:
@@ -177,6 +193,17 @@ def _simulate(commands: Any) -> None:
             command.add_argument(
                 option, type=kind, metavar=metavar, help=meaning, default=argparse.SUPPRESS
             )
+
+
+def _minimum(text: str) -> int | str:
+    if text == "chance":
+        return text
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, expected chance or a number of closures"
+        ) from None
 
 
 def _seconds(text: str) -> float:

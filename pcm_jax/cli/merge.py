@@ -76,6 +76,9 @@ def _merge(
         method=options.method,
         confidence=options.confidence,
         minimum_inliers=options.minimum_inliers,
+        significance=options.significance,
+        separation=options.separation,
+        seed=options.seed,
         time_limit=options.time_limit,
         progress=progress,
     )
@@ -219,8 +222,11 @@ def _pose(anchor: dict[str, float] | None) -> str:
 
 
 def _pairs(pairs: list[dict[str, Any]]) -> str:
-    rows = [[f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p)] for p in pairs]
-    return columns_of_text(["robots", "measured", "accepted", "largest set"], rows)
+    rows = [
+        [f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p), p["why"] or ""]
+        for p in pairs
+    ]
+    return columns_of_text(["robots", "measured", "accepted", "largest set", "why"], rows)
 
 
 def _optimal(pair: dict[str, Any]) -> str:

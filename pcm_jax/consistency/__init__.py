@@ -38,8 +38,8 @@ from pcm_jax.consistency.streaming import (
 from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
 
 __all__ = [
-    "ConsistentPairs",
     "ConsistencyProblem",
+    "ConsistentPairs",
     "Evidence",
     "PackedGraph",
     "PairEvidence",

@@ -92,7 +92,8 @@ class ShuffledClosures:
         self._from_b = self._module.inverse(_entries(problem.pose_b, count))
         self._covariance = np.asarray(problem.measurement_covariance)[:count]
         self._turning = _rotation_axes(self._covariance.shape[-1])
-        self._own_spread = sum(self._covariance[:, axis, axis] for _, axis in self._turning)
+        own: Any = [self._covariance[:, axis, axis] for _, axis in self._turning]
+        self._own_spread = np.sum(own, axis=0)
         self._rows = np.asarray(problem.row_a)[:count], np.asarray(problem.row_b)[:count]
         self._relative = (
             np.asarray(problem.relative_covariance_a),
@@ -116,9 +117,9 @@ class ShuffledClosures:
         measured = tuple(entry[order] for entry in self._measured)
         reached = self._module.compose(self._pose_a, measured)
         placed = _full(order, self._module.compose(reached, self._from_b))
-        near = self._near(order, placed)
+        near: Any = self._near(order, placed)
         kept = _peeled(*near, self.count, at_least)
-        pairs = tuple(each[kept] for each in near)
+        pairs: Any = tuple(each[kept] for each in near)
         covariance = unrolled.from_array(self._covariance[order])
         noise = _full(order, unrolled.pack(self._module.adjoint_sandwich(reached, covariance)))
         larger = np.empty(len(pairs[0]))
@@ -208,10 +209,12 @@ class ShuffledByMetric:
         found = []
         for shuffle, each in enumerate(order):
             squared = np.asarray(self._metric(_reordered(self._closures, each)))
-            u, v = np.nonzero(consistency_graph(squared, self.gate) & self._joined)
+            agree = np.asarray(consistency_graph(squared, self.gate))  # type: ignore[arg-type]
+            u, v = np.nonzero(agree & self._joined)
             larger = np.maximum(squared[u, v], squared[v, u])
             found.append((np.full(len(u), shuffle), u, v, larger))
-        return ConsistentPairs(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        parts: Any = [np.concatenate(each) for each in zip(*found, strict=True)]
+        return ConsistentPairs(*parts)
 
 
 def _entries(transforms: Any, count: int) -> tuple[np.ndarray, ...]:

@@ -76,6 +76,15 @@ class PackedGraph(NamedTuple):
         """As `consistency_graph` returns it; m² bytes."""
         return np.unpackbits(self.bits, axis=1, count=self.count).view(np.bool_)
 
+    def has(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
+        """Marks the pairs that agree."""
+        return (self.bits[u, v // 8] >> (7 - v % 8) & 1).astype(bool)
+
+    def touches(self, some: Int[np.ndarray, " s"]) -> Bool[np.ndarray, " m"]:
+        """Marks the closures that agree with any of some."""
+        any_of_them = np.bitwise_or.reduce(self.bits[some], axis=0)
+        return np.unpackbits(any_of_them, count=self.count).view(np.bool_)
+
     @property
     def degree(self) -> Int[np.ndarray, " m"]:
         """The number of others that each closure agrees with."""

@@ -1,10 +1,23 @@
 """How far an answer is to be believed: what chance does, and what else explains the closures.
 
-    places   closures beside each other along both ways are one witness
-    chance   how often closures of which none is right agree as well
+places   closures beside each other along both ways are one witness
+chance   how often closures of which none is right agree as well
+verdict  what is believed, all pairs of robots together, and why
 """
 
-from pcm_jax.integrity.chance import ChanceLevel, chance_level
+from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
 from pcm_jax.integrity.places import Places, places_of, way_of
+from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_number
 
-__all__ = ["ChanceLevel", "Places", "chance_level", "places_of", "way_of"]
+__all__ = [
+    "SIGNIFICANCE",
+    "ChanceLevel",
+    "Places",
+    "Verdict",
+    "chance_level",
+    "holm",
+    "judge_by_chance",
+    "judge_by_number",
+    "places_of",
+    "way_of",
+]

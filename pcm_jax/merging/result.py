@@ -169,25 +169,38 @@ class MergeResult:
 
     def _pair_rows(self) -> list[dict[str, Any]]:
         maps, closures = self.graph.maps, self.candidates
-        certificates = {
-            (pair.robot_a, pair.robot_b): (pair.optimal, pair.upper_bound)
+        judged = {
+            (pair.robot_a, pair.robot_b): pair
             for pair in (self.selection.pairs if self.selection else ())
         }
         rows = []
         for a, b in closures.pairs():
             _, indices = closures.between(a, b)
-            optimal, upper_bound = certificates.get((a, b), (None, None))
+            pair = judged.get((a, b))
             rows.append(
                 {
                     "a": maps[a].name,
                     "b": maps[b].name,
                     "measured": len(indices),
                     "accepted": int(self.accepted[indices].sum()),
-                    "optimal": optimal,
-                    "upper_bound": upper_bound,
+                    "optimal": pair.optimal if pair else None,
+                    "upper_bound": pair.upper_bound if pair else None,
+                    **_judged(pair.verdict if pair else None),
                 }
             )
         return rows
+
+
+def _judged(verdict: Any) -> dict[str, Any]:
+    """The rows of a report on what was found between two robots, and why it is believed or not."""
+    if verdict is None:
+        return {"found": None, "places": None, "chance": None, "why": None}
+    return {
+        "found": verdict.found,
+        "places": verdict.places,
+        "chance": verdict.chance.p_value if verdict.chance else None,
+        "why": verdict.why,
+    }
 
 
 def _pose_fields(pose: Any) -> dict[str, float]:

@@ -31,6 +31,7 @@ EVERYTHING = "all"
 GIVEN = "given"
 CONFIDENCE = 0.99
 MINIMUM = 2
+OF_ROBUST = ("confidence", "minimum_inliers")
 
 
 @on_host
@@ -40,7 +41,10 @@ def merge(
     method: Method = "pcm-exact",
     confidence: float | None = None,
     accepted: Any = None,
-    minimum_inliers: int | None = None,
+    minimum_inliers: int | str | None = None,
+    significance: float | None = None,
+    separation: float | None = None,
+    seed: int | None = None,
     time_limit: float | None = None,
     room_for: Any = None,
     solver: str | None = None,
@@ -64,7 +68,13 @@ def merge(
         confidence: probability that the loop of two right closures passes the gate; of a robust
             method, that one right closure does; 0.99 by default.
         accepted: bool `[m]` or indices: the closures to use instead of selecting any.
-        minimum_inliers: a pair of robots that accepts fewer closures accepts none; 2 by default.
+        minimum_inliers: when a pair of robots is merged: "chance", the default: if closures of
+            which none is right would hardly agree as well, see `select`; or a number: if that many
+            closures are accepted. Of robust methods a number, 2 by default.
+        significance: with "chance": the probability that any pair of robots is merged none of whose
+            closures is right; 0.01 by default.
+        separation: metres along the way of either robot between closures that are two witnesses.
+        seed: of the shuffles that "chance" makes; 0 by default.
         time_limit: seconds for each robot pair's clique.
         room_for: bool `[m]` or indices: closures for which the merged map's symbolic plan has room
             besides those accepted. Merges of one graph by different closures share one plan if
@@ -95,8 +105,13 @@ def merge(
     given = graph.graph if isinstance(graph, Evidence) else graph
     _check(given)
     asked = {"confidence": confidence, "minimum_inliers": minimum_inliers}
-    if time_limit is not None:
-        asked["time_limit"] = time_limit
+    of_selecting = {
+        "significance": significance,
+        "separation": separation,
+        "seed": seed,
+        "time_limit": time_limit,
+    }
+    asked |= {name: value for name, value in of_selecting.items() if value is not None}
     kind = _checked(method, accepted, asked, options, room_for is not None)
     tell = progress or silent
     with CompileClock() as compiling:
@@ -151,7 +166,12 @@ def _checked(
     if isinstance(method, str) and method in ROBUST_METHODS and accepted is None:
         own = {name: value for name, value in options.items() if name != "optimized"}
         check_robust_options(method, own)
-        refused = [n for n in ("time_limit",) if n in asked] + ["room_for"] * room
+        refused = [n for n in asked if n not in OF_ROBUST] + ["room_for"] * room
+        if isinstance(asked["minimum_inliers"], str):
+            raise InputError(
+                f"minimum_inliers: {asked['minimum_inliers']!r} given with method {method!r},"
+                " expected a number"
+            )
         kind, what = "robust", ""
     elif accepted is not None or method == EVERYTHING:
         if not isinstance(method, str) or method not in (*ROBUST_METHODS, EVERYTHING):

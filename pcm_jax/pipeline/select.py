@@ -10,11 +10,13 @@ from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.integrity import SIGNIFICANCE, judge_by_chance, judge_by_number
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
 from pcm_jax.selection import PairSelection, Selection, choose
 from pcm_jax.selection.choose import Method, check_method, name_of, needs_distances
 
+CHANCE = "chance"
 OF_WEIGHING = ("metric", "optimized", "memory_limit")
 """Options of `weigh`, which evidence has behind it."""
 
@@ -25,7 +27,10 @@ def select(
     *,
     method: Method = "pcm-exact",
     confidence: float = 0.99,
-    minimum_inliers: int = 2,
+    minimum_inliers: int | str = CHANCE,
+    significance: float | None = None,
+    separation: float | None = None,
+    seed: int = 0,
     time_limit: float | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -37,6 +42,7 @@ def select(
 
         selection = pcm_jax.select(graph)
         selection.accepted                      # bool [m]
+        selection.pairs[0].verdict.why          # in a sentence
         pcm_jax.select(selection.evidence, confidence=0.9)  # asks again, at no cost
 
     Args:
@@ -44,8 +50,14 @@ def select(
         method: a name, see `select_from`, or a function `(evidence, gate) -> bool [k]` of one
             pair's `PairEvidence`.
         confidence: probability that the loop of two right closures passes the gate.
-        minimum_inliers: a pair of robots that accepts fewer closures accepts none: a single one
-            is consistent with itself whatever it says.
+        minimum_inliers: "chance": a pair of robots accepts what was found if closures of which none
+            is right would hardly agree as well, see `integrity.chance`. Or a number: if that many
+            closures were found, which closures that are all wrong manage too where they are many.
+        significance: with "chance", the probability that any pair of robots is accepted none of
+            whose closures is right; 0.01 by default.
+        separation: metres along the way of either robot between closures that are two witnesses,
+            see `integrity.places`; by default as there.
+        seed: of the shuffles that "chance" makes; the same seed gives the same answer.
         time_limit: seconds for each pair's clique; needs a method that has the option.
         progress: called with a stage, how many of its parts are done, and how many there are.
         **options: the method's own, see `select_from`; of a graph also `metric`, `optimized` and
@@ -56,34 +68,62 @@ def select(
         The selection; float64 whatever the caller's settings.
 
     Raises:
-        InputError: for an unknown method or option, a confidence outside (0, 1), a negative
-            minimum or limit, and what optimising the maps raises.
+        InputError: for an unknown method or option, a confidence or significance outside (0, 1), a
+            negative minimum, limit or separation, and what optimising the maps raises.
     """
     weighing = {name: options.pop(name) for name in OF_WEIGHING if name in options}
     if time_limit is not None:
         options["time_limit"] = time_limit
     check_method(method, options)
-    if minimum_inliers < 0:
-        raise InputError(f"minimum_inliers: {minimum_inliers}, expected at least 0")
+    check_minimum(minimum_inliers, significance)
     check_graph(graph)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
     watch, tell = StopWatch(), progress or silent
-    accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
+    choices = []
     for number, pair in enumerate(evidence.pairs):
         tell("clique", number, len(evidence.pairs))
         if pair.is_streamed:
             with watch("consistency"):
                 pair.packed(gate)
         with watch("clique"):
-            choice = choose(pair, gate, method=method, **options)
-        found = int(np.count_nonzero(choice.members))
-        kept = choice.members & (found >= minimum_inliers)
+            choices.append(choose(pair, gate, method=method, **options))
+    tell("clique", len(choices), len(choices))
+    found = [(pair, choice.members) for pair, choice in zip(evidence.pairs, choices, strict=True)]
+    with watch("chance"):
+        tell("chance", 0, 1)
+        if minimum_inliers == CHANCE:
+            asked = {"significance": SIGNIFICANCE if significance is None else significance}
+            verdicts = judge_by_chance(found, gate, separation=separation, seed=seed, **asked)
+        else:
+            verdicts = [
+                judge_by_number(*each, int(minimum_inliers), gate, separation) for each in found
+            ]
+        tell("chance", 1, 1)
+    accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
+    for pair, choice, verdict in zip(evidence.pairs, choices, verdicts, strict=True):
+        kept = choice.members & verdict.believed
         accepted[pair.closures] = kept
-        pairs.append(PairSelection(pair, gate, kept, choice.optimal, choice.upper_bound, found))
-    tell("clique", len(pairs), len(pairs))
+        proof = choice.optimal, choice.upper_bound
+        pairs.append(PairSelection(pair, gate, kept, *proof, verdict.found, verdict))
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
     return Selection(accepted, tuple(pairs), name_of(method), confidence, gate, evidence, seconds)
+
+
+def check_minimum(minimum: Any, significance: float | None) -> None:
+    """Raises `InputError` for what is neither "chance" nor a number, or for a level without use."""
+    if isinstance(minimum, str):
+        if minimum != CHANCE:
+            raise InputError(
+                f"minimum_inliers: {minimum!r}, expected {CHANCE!r} or a number of closures"
+            )
+    elif not minimum >= 0:
+        raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
+    elif significance is not None:
+        raise InputError(
+            f"significance: {significance} given with minimum_inliers {minimum}, expected"
+            f" {CHANCE!r} for that"
+        )
 
 
 def check_graph(graph: Any) -> None:

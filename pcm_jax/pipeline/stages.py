@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-STAGES: tuple[str, ...] = ("optimize", "marginals", "consistency", "clique")
+STAGES: tuple[str, ...] = ("optimize", "marginals", "consistency", "clique", "chance")
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage, how many of its parts are done, and how many there are."""

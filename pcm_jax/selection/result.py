@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,7 +22,8 @@ class PairSelection:
         accepted: bool [k].
         optimal: whether no larger pairwise consistent set exists; None if the method does not say.
         upper_bound: no pairwise consistent set has more members; None likewise.
-        found: how many members the method's set had, also where that was too few to be accepted.
+        found: how many members the method's set had, also where it was not accepted.
+        verdict: why it was accepted or not, see `integrity.Verdict`.
     """
 
     evidence: PairEvidence
@@ -30,6 +32,7 @@ class PairSelection:
     optimal: bool | None
     upper_bound: int | None
     found: int
+    verdict: Any = None
 
     def __repr__(self) -> str:
         proof = {None: "not looked for", True: "proven", False: f"at most {self.upper_bound}"}
@@ -37,6 +40,7 @@ class PairSelection:
             f"PairSelection(robots {self.robot_a} and {self.robot_b})\n"
             f"  accepted     {int(self.accepted.sum())} of {len(self.accepted)}\n"
             f"  largest set  {proof[self.optimal]}, gate {self.gate:.4g}"
+            + (f"\n  verdict      {self.verdict.why}" if self.verdict else "")
         )
 
     @property
@@ -75,8 +79,8 @@ class Selection:
         confidence: as given.
         gate: γ², of all pairs.
         evidence: what `weigh` found, for further questions.
-        seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"` and `"clique"`;
-            those of the evidence are what it took when it was made.
+        seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"`, `"clique"` and
+            `"chance"`; those of the evidence are what it took when it was made.
     """
 
     accepted: Bool[np.ndarray, " m"]
