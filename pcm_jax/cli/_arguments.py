@@ -130,7 +130,13 @@ def _merge(commands: Any) -> None:
         type=float,
         metavar="M",
         help="metres along the way of either robot from which on closures count as two witnesses "
-        "(default: 10)",
+        "(default: the longest run of closures that agree with each other, not with those found)",
+    )
+    merge.add_argument(
+        "--on-ambiguous",
+        choices=("split", "largest"),
+        help="where two alignments are supported about as well: leave the two robots apart, or "
+        "take the larger set (default: split)",
     )
     merge.add_argument(
         "--time-limit",

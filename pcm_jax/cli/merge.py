@@ -15,6 +15,7 @@ from pcm_jax.cli._progress import Progress
 from pcm_jax.errors import InputError
 from pcm_jax.tables import columns_of_text
 
+NOTHING = "Nothing to merge: no closure between robots is believed; the table says why."
 TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
 TOO_BAD = 10.0  # likewise, above
 KEPT = 0.9  # of the closures accepted: a better reading accepts at least as many
@@ -78,6 +79,7 @@ def _merge(
         minimum_inliers=options.minimum_inliers,
         significance=options.significance,
         separation=options.separation,
+        on_ambiguous=options.on_ambiguous,
         seed=options.seed,
         time_limit=options.time_limit,
         progress=progress,
@@ -198,6 +200,8 @@ def summary(report: dict[str, Any]) -> str:
         parts.insert(0, "\n".join(report["input"]["cuts"]))
     if "cleaned" in report:
         parts.insert(0, _maps(report["cleaned"]))
+    if not any(pair["accepted"] for pair in report["robot_pairs"]):
+        parts.insert(0, NOTHING)
     return "\n\n".join(parts)
 
 

@@ -59,14 +59,16 @@ class ConsistentPairs(NamedTuple):
 
     def of(self, shuffle: int) -> ConsistentPairs:
         """Those of one shuffle."""
-        own = slice(*np.searchsorted(self.shuffle, [shuffle, shuffle + 1]))
-        return ConsistentPairs(*(each[own] for each in self))
+        return self.take(slice(*np.searchsorted(self.shuffle, [shuffle, shuffle + 1])))
+
+    def take(self, some: Any) -> ConsistentPairs:
+        """Those of a slice, a mask or indices."""
+        return ConsistentPairs._make(each[some] for each in self)
 
     def peeled(self, at_least: int) -> ConsistentPairs:
         """Leaves out pairs of closures that agree with too few others for a clique so large."""
         count = 1 + int(self.v.max(initial=0))
-        kept = _peeled(self.shuffle, self.u, self.v, count, at_least)
-        return ConsistentPairs(*(each[kept] for each in self))
+        return self.take(_peeled(self.shuffle, self.u, self.v, count, at_least))
 
 
 class ShuffledClosures:
@@ -117,17 +119,16 @@ class ShuffledClosures:
         measured = tuple(entry[order] for entry in self._measured)
         reached = self._module.compose(self._pose_a, measured)
         placed = _full(order, self._module.compose(reached, self._from_b))
-        near: Any = self._near(order, placed)
-        kept = _peeled(*near, self.count, at_least)
-        pairs: Any = tuple(each[kept] for each in near)
+        shuffle, u, v = self._near(order, placed)
+        kept = _peeled(shuffle, u, v, self.count, at_least)
+        shuffle, u, v = shuffle[kept], u[kept], v[kept]
         covariance = unrolled.from_array(self._covariance[order])
         noise = _full(order, unrolled.pack(self._module.adjoint_sandwich(reached, covariance)))
-        larger = np.empty(len(pairs[0]))
+        larger = np.empty(len(u))
         for start in range(0, len(larger), CHUNK):
             part = slice(start, start + CHUNK)
-            larger[part] = self._squared(*(each[part] for each in pairs), placed, noise)
-        inside = larger <= self.gate
-        return ConsistentPairs(*(each[inside] for each in pairs), larger[inside])
+            larger[part] = self._squared(shuffle[part], u[part], v[part], placed, noise)
+        return ConsistentPairs(shuffle, u, v, larger).take(larger <= self.gate)
 
     def _least_cosines(self, joined: np.ndarray | None) -> Float[np.ndarray, "k k"]:
         """1 − γ² (tr Ga_φφ + tr Gb_φφ) / 2, float32; infinite where a pair is of no interest."""
@@ -171,9 +172,8 @@ class ShuffledClosures:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             forward = squared_one_way(self._module, t_u, t_v, t_v, fixed, side_b)
             inside = np.flatnonzero(forward <= self.gate)
-            ends = (tuple(entry[inside] for entry in t) for t in (t_u, t_v, t_u))
-            rest = tuple(entry[inside] for entry in fixed), side_b[:, inside]
-            backward = squared_one_way(self._module, *ends, *rest)
+            t_u, t_v, fixed = (tuple(each[inside] for each in part) for part in (t_u, t_v, fixed))
+            backward = squared_one_way(self._module, t_u, t_v, t_u, fixed, side_b[:, inside])
         result = np.full(len(u), np.inf)
         result[inside] = np.where(np.isnan(backward), np.inf, np.fmax(forward[inside], backward))
         return result

@@ -2,22 +2,26 @@
 
 places   closures beside each other along both ways are one witness
 chance   how often closures of which none is right agree as well
+rivals   the best set that implies another alignment
 verdict  what is believed, all pairs of robots together, and why
 """
 
 from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
 from pcm_jax.integrity.places import Places, places_of, way_of
+from pcm_jax.integrity.rivals import Rival, strongest_rival
 from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_number
 
 __all__ = [
     "SIGNIFICANCE",
     "ChanceLevel",
     "Places",
+    "Rival",
     "Verdict",
     "chance_level",
     "holm",
     "judge_by_chance",
     "judge_by_number",
     "places_of",
+    "strongest_rival",
     "way_of",
 ]

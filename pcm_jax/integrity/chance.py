@@ -227,8 +227,7 @@ def _outcome(pairs: ConsistentPairs, at_least: int, mark: _Mark) -> _Outcome:
 
 
 def _among(pairs: ConsistentPairs, within: Bool[np.ndarray, " k"]) -> ConsistentPairs:
-    kept = within[pairs.u] & within[pairs.v]
-    return ConsistentPairs(*(each[kept] for each in pairs))
+    return pairs.take(within[pairs.u] & within[pairs.v])
 
 
 def _best(

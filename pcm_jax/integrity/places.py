@@ -14,7 +14,7 @@ How far a mistake repeats itself is a property of the front end and of the world
 themselves show: those that agree with no member of the set in question are mistakes if the set is
 right. Their *runs* are chains of closures of which each agrees with the next, a few steps further
 along both ways. By default s is the length of the longest run, along the way on which it is longer;
-0 where mistakes do not repeat, and then only closures of one and the same pose pair are one witness.
+0 where mistakes do not repeat: then only closures of one and the same pose pair are one witness.
 If the set is wrong, and the right closures are among those that it contradicts, their runs count:
 a set in one place is then not told from them, as it should not be. What the default cannot see is a
 front end whose one repeated mistake is the set itself: give `separation`, the length of what looks
@@ -85,6 +85,10 @@ class Places:
         """
         chosen = np.arange(len(self.way_a)) if accepted is None else np.flatnonzero(accepted)
         return len(self.spread_out(chosen[np.lexsort((self.way_b[chosen], self.way_a[chosen]))]))
+
+    def reach(self, accepted: Bool[np.ndarray, " k"]) -> float:
+        """Measures how far some closures lie apart along the way on which they do most, metres."""
+        return max(float(np.ptp(way[accepted])) for way in (self.way_a, self.way_b))
 
 
 def way_of(pose_graph: PoseGraph) -> Float[np.ndarray, " n"]:

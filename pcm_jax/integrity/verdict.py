@@ -3,13 +3,15 @@
 A set is believed if chance explains it at the level of significance only (`chance`), over all pairs
 of robots together by Holm's rule: with p-values in ascending order, the first of n must be at most
 α/n, the next α/(n − 1), …, and all from the first that is not are refused. So the probability that
-any pair of robots that never met is merged is at most α, however many pairs there are.
+any pair of robots that never met is merged is at most α, however many pairs there are. And it is
+believed only if no other alignment is supported about as well (`rivals`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,6 +19,7 @@ from jaxtyping import Bool, Float
 from pcm_jax.consistency import PairEvidence
 from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
 from pcm_jax.integrity.places import Places, places_of
+from pcm_jax.integrity.rivals import Rival, strongest_rival
 
 ROUNDING = 1e-12
 """By which a p-value may exceed a level that it equals."""
@@ -33,6 +36,7 @@ class Verdict:
         places: of the set, see `Places`.
         separation: metres between two places.
         chance: how the set stands out from chance; None where nobody asked.
+        rival: the best set that implies another alignment; None without one, or where nobody asked.
     """
 
     believed: bool
@@ -41,6 +45,12 @@ class Verdict:
     places: int
     separation: float
     chance: ChanceLevel | None = None
+    rival: Rival | None = None
+
+    @property
+    def ambiguous(self) -> bool:
+        """True where a rival explains the closures about as well."""
+        return self.rival is not None and self.rival.ambiguous
 
     def __repr__(self) -> str:
         return f"Verdict({'believed' if self.believed else 'refused'}: {self.why})"
@@ -75,6 +85,7 @@ def judge_by_chance(
     *,
     significance: float = SIGNIFICANCE,
     separation: float | None = None,
+    on_ambiguous: str = "split",
     seed: int = 0,
 ) -> list[Verdict]:
     """Judges the sets that a method found, all pairs of robots together.
@@ -84,6 +95,8 @@ def judge_by_chance(
         gate: γ².
         significance: probability that any pair without a right closure is believed.
         separation: metres between two places, see `places_of`.
+        on_ambiguous: "split": a set with a rival about as good is not believed (see `rivals`);
+            "largest": it is, and said to be ambiguous.
         seed: of the shuffles.
 
     Returns:
@@ -99,17 +112,26 @@ def judge_by_chance(
         chance = chance_level(evidence, gate, places, members, significance=level, seed=seed)
         found.append((members, places, chance))
     passed = holm(np.array([chance.p_value for _, _, chance in found]), significance)
-    return [
-        Verdict(
-            bool(believed),
-            _why(bool(believed), members, places, chance, significance, len(pairs)),
-            int(np.count_nonzero(members)),
-            places.count(members),
-            places.separation,
-            chance,
+    verdicts = []
+    for passes, pair, (members, places, chance) in zip(passed, pairs, found, strict=True):
+        rival = None
+        if passes:
+            asked: dict[str, Any] = {"significance": significance, "seed": seed}
+            rival = strongest_rival(pair[0], gate, places, members, **asked)
+        ambiguous = rival is not None and rival.ambiguous
+        why = _why(bool(passes), members, places, chance, significance, len(pairs))
+        verdicts.append(
+            Verdict(
+                believed=bool(passes) and not (ambiguous and on_ambiguous == "split"),
+                why=why + (_against(rival) if ambiguous else ""),  # type: ignore[arg-type]
+                found=int(np.count_nonzero(members)),
+                places=places.count(members),
+                separation=places.separation,
+                chance=chance,
+                rival=rival,
+            )
         )
-        for believed, (members, places, chance) in zip(passed, found, strict=True)
-    ]
+    return verdicts
 
 
 def holm(p_values: Float[np.ndarray, " n"], significance: float) -> Bool[np.ndarray, " n"]:
@@ -127,6 +149,14 @@ def holm(p_values: Float[np.ndarray, " n"], significance: float) -> Bool[np.ndar
     return marked
 
 
+def _against(rival: Rival) -> str:
+    chance = "" if rival.chance is None else f", p = {rival.chance.p_value:.2g}"
+    return (
+        f"; AMBIGUOUS: {rival.size} others at {rival.places} places{chance} agree on another"
+        " alignment"
+    )
+
+
 def _why(
     believed: bool,
     members: np.ndarray,
@@ -142,8 +172,7 @@ def _why(
     if chance.places < 2:
         return (
             f"{found} of {total} closures agree, all at one place (within {places.separation:.3g} m"
-            " along both ways, as far as others that agree reach), which cannot be told from chance:"
-            " closures at other places would help"
+            " on both ways), which cannot be told from chance: closures at other places would help"
         )
     where = f"{found} of {total} closures agree, at {chance.places} places"
     if believed:

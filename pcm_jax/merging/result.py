@@ -94,6 +94,12 @@ class MergeResult:
             f"  fit     cost {fit.cost:.6g}, normalised χ² {chi2}, {end}, by {self.method}"
         )
 
+    @property
+    def ambiguous(self) -> bool:
+        """True where another alignment of some two robots is supported about as well."""
+        pairs = self.selection.pairs if self.selection else ()
+        return any(pair.verdict.ambiguous for pair in pairs if pair.verdict)
+
     @functools.cached_property
     def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
         """The covariance of each `T_r` for `T_r exp(δ)`: how well its map is tied to its group.
@@ -194,11 +200,22 @@ class MergeResult:
 def _judged(verdict: Any) -> dict[str, Any]:
     """The rows of a report on what was found between two robots, and why it is believed or not."""
     if verdict is None:
-        return {"found": None, "places": None, "chance": None, "why": None}
+        return dict.fromkeys(("found", "places", "chance", "rival", "ambiguous", "why"))
+    rival = verdict.rival
     return {
         "found": verdict.found,
         "places": verdict.places,
         "chance": verdict.chance.p_value if verdict.chance else None,
+        "rival": {
+            "size": rival.size,
+            "places": rival.places,
+            "shared": rival.shared,
+            "alignment": _pose_fields(rival.joint.alignment),
+            "chance": rival.chance.p_value if rival.chance else None,
+        }
+        if rival
+        else None,
+        "ambiguous": verdict.ambiguous,
         "why": verdict.why,
     }
 

@@ -44,6 +44,7 @@ def merge(
     minimum_inliers: int | str | None = None,
     significance: float | None = None,
     separation: float | None = None,
+    on_ambiguous: str | None = None,
     seed: int | None = None,
     time_limit: float | None = None,
     room_for: Any = None,
@@ -74,6 +75,8 @@ def merge(
         significance: with "chance": the probability that any pair of robots is merged none of whose
             closures is right; 0.01 by default.
         separation: metres along the way of either robot between closures that are two witnesses.
+        on_ambiguous: with "chance": "split", the default: two robots are not merged where another
+            alignment is supported about as well; "largest": they are, by the larger set.
         seed: of the shuffles that "chance" makes; 0 by default.
         time_limit: seconds for each robot pair's clique.
         room_for: bool `[m]` or indices: closures for which the merged map's symbolic plan has room
@@ -108,6 +111,7 @@ def merge(
     of_selecting = {
         "significance": significance,
         "separation": separation,
+        "on_ambiguous": on_ambiguous,
         "seed": seed,
         "time_limit": time_limit,
     }

@@ -17,6 +17,7 @@ from pcm_jax.selection import PairSelection, Selection, choose
 from pcm_jax.selection.choose import Method, check_method, name_of, needs_distances
 
 CHANCE = "chance"
+ON_AMBIGUOUS = ("split", "largest")
 OF_WEIGHING = ("metric", "optimized", "memory_limit")
 """Options of `weigh`, which evidence has behind it."""
 
@@ -30,6 +31,7 @@ def select(
     minimum_inliers: int | str = CHANCE,
     significance: float | None = None,
     separation: float | None = None,
+    on_ambiguous: str = "split",
     seed: int = 0,
     time_limit: float | None = None,
     progress: Progress | None = None,
@@ -57,6 +59,9 @@ def select(
             whose closures is right; 0.01 by default.
         separation: metres along the way of either robot between closures that are two witnesses,
             see `integrity.places`; by default as there.
+        on_ambiguous: with "chance": "split": a pair of robots accepts nothing where another
+            alignment is supported about as well, see `integrity.rivals`; "largest": it accepts the
+            larger set, whose verdict says so.
         seed: of the shuffles that "chance" makes; the same seed gives the same answer.
         time_limit: seconds for each pair's clique; needs a method that has the option.
         progress: called with a stage, how many of its parts are done, and how many there are.
@@ -76,6 +81,10 @@ def select(
         options["time_limit"] = time_limit
     check_method(method, options)
     check_minimum(minimum_inliers, significance)
+    if on_ambiguous not in ON_AMBIGUOUS:
+        raise InputError(
+            f"on_ambiguous: {on_ambiguous!r}, expected one of {', '.join(ON_AMBIGUOUS)}"
+        )
     check_graph(graph)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
@@ -90,16 +99,21 @@ def select(
             choices.append(choose(pair, gate, method=method, **options))
     tell("clique", len(choices), len(choices))
     found = [(pair, choice.members) for pair, choice in zip(evidence.pairs, choices, strict=True)]
+    tell("chance", 0, 1)
     with watch("chance"):
-        tell("chance", 0, 1)
         if minimum_inliers == CHANCE:
-            asked = {"significance": SIGNIFICANCE if significance is None else significance}
-            verdicts = judge_by_chance(found, gate, separation=separation, seed=seed, **asked)
+            verdicts = judge_by_chance(
+                found,
+                gate,
+                significance=SIGNIFICANCE if significance is None else significance,
+                separation=separation,
+                on_ambiguous=on_ambiguous,
+                seed=seed,
+            )
         else:
-            verdicts = [
-                judge_by_number(*each, int(minimum_inliers), gate, separation) for each in found
-            ]
-        tell("chance", 1, 1)
+            minimum = int(minimum_inliers)
+            verdicts = [judge_by_number(*each, minimum, gate, separation) for each in found]
+    tell("chance", 1, 1)
     accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
     for pair, choice, verdict in zip(evidence.pairs, choices, verdicts, strict=True):
         kept = choice.members & verdict.believed

@@ -1,0 +1,154 @@
+"""Rivals: the best set of closures that implies another alignment of the two maps.
+
+Where the world repeats itself, several sets agree within themselves, each beyond chance, and the
+largest need not be the right one. A rival is the largest consistent set R whose closures contradict
+those of the set in question C, by the uncertainty of maps and measurements: few pairs of C x R are
+consistent. (Closures that C leaves out though they mean the same alignment are near misses: they
+contradict some members and agree with many others.) The answer is ambiguous if the rival is beyond
+chance itself, and
+
+    rests on about as many places:     2 places(R) > places(C), or
+    C lies at one place beside it:     R reaches more than twice as far along the ways.
+
+The second is for a corridor taken for another: any number of closures in one short stretch repeat
+one mistake, while right ones are found wherever the robots meet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from pcm_jax.arrays import on_host
+from pcm_jax.clique import maximum_clique
+from pcm_jax.consistency import JointConsistency, PairEvidence, joint_consistency
+from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
+from pcm_jax.integrity.places import Places
+
+AGREEING = 0.25
+"""Share of pairs across two sets: with fewer that are consistent, they imply two alignments."""
+TRIES = 8
+"""Largest sets that are looked at before it is said that there is no rival."""
+FEWEST = 2
+"""Closures of a rival."""
+JOINT = 60
+"""Closures of a rival that its alignment is found from, evenly spaced."""
+SEARCH = 5.0
+"""Seconds for each of these sets."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rival:
+    """The best set that implies another alignment.
+
+    Attributes:
+        members: bool [k].
+        size: closures.
+        places: see `Places`.
+        shared: members of the set in question that agree with all of the rival's.
+        agreeing: share of the pairs across the two sets that are consistent.
+        joint: its alignment of the maps with its covariance, of 60 closures at most.
+        chance: how it stands out from chance; None where it is too small to matter.
+        ambiguous: whether it explains the closures about as well as the set in question.
+    """
+
+    members: Bool[np.ndarray, " k"]
+    size: int
+    places: int
+    shared: int
+    agreeing: float
+    joint: JointConsistency
+    chance: ChanceLevel | None
+    ambiguous: bool
+
+    def __repr__(self) -> str:
+        told = "ambiguous" if self.ambiguous else "clearly weaker"
+        by_chance = "" if self.chance is None else f", by chance with p = {self.chance.p_value:.2g}"
+        return (
+            f"Rival({told})\n"
+            f"  closures  {self.size} at {self.places} places{by_chance}\n"
+            f"  agreeing  {100.0 * self.agreeing:.2g} % of the pairs with the larger set"
+        )
+
+
+@on_host
+def strongest_rival(
+    evidence: PairEvidence,
+    gate: float,
+    places: Places,
+    members: Bool[np.ndarray, " k"],
+    *,
+    significance: float = SIGNIFICANCE,
+    seed: int = 0,
+) -> Rival | None:
+    """Finds the best set of closures that implies another alignment than the set in question.
+
+        pair = selection.pairs[0]
+        places = pcm_jax.integrity.places_of(pair.evidence, gate=pair.gate, members=pair.accepted)
+        pcm_jax.integrity.strongest_rival(pair.evidence, pair.gate, places, pair.accepted)
+
+    Args:
+        evidence: of the closures between two robots, see `weigh`.
+        gate: γ².
+        places: of these closures.
+        members: bool [k], the set in question.
+        significance: the level at which a rival is beyond chance.
+        seed: of the shuffles for that.
+
+    Returns:
+        The first that makes the answer ambiguous, else the largest; None without any.
+    """
+    graph = evidence.consistent(gate)
+    left, largest = ~members, None
+    for _ in range(TRIES):
+        found = _largest_among(graph, left)
+        if np.count_nonzero(found) < FEWEST:
+            break
+        left &= ~found
+        agreeing = float(graph[np.ix_(members, found)].mean())
+        if agreeing > AGREEING:
+            continue  # near misses
+        chance = None
+        if _about_as_good(places, members, found):
+            asked: dict[str, Any] = {"significance": significance, "seed": seed}
+            chance = chance_level(evidence, gate, places, found, **asked)
+        ambiguous = chance is not None and chance.p_value <= significance
+        if ambiguous or largest is None:
+            largest = found, agreeing, chance, ambiguous
+        if ambiguous:
+            break
+    if largest is None:
+        return None
+    found, agreeing, chance, ambiguous = largest
+    chosen = np.flatnonzero(found)
+    some = chosen[np.unique(np.linspace(0, len(chosen) - 1, JOINT).round().astype(int))]
+    return Rival(
+        members=found,
+        size=len(chosen),
+        places=places.count(found),
+        shared=int(graph[np.ix_(members, found)].all(axis=1).sum()),
+        agreeing=agreeing,
+        joint=joint_consistency(evidence, some),
+        chance=chance,
+        ambiguous=ambiguous,
+    )
+
+
+def _largest_among(
+    graph: Bool[np.ndarray, "k k"], left: Bool[np.ndarray, " k"]
+) -> Bool[np.ndarray, " k"]:
+    chosen = np.flatnonzero(left)
+    found = np.zeros(len(left), bool)
+    clique = maximum_clique(graph[np.ix_(chosen, chosen)], time_limit=SEARCH)
+    found[chosen] = clique.members
+    return found
+
+
+def _about_as_good(places: Places, members: np.ndarray, rival: np.ndarray) -> bool:
+    """Whether a rival has places enough, or reaches so far, that the answer hangs on it."""
+    if 2 * places.count(rival) > places.count(members):
+        return True
+    return places.reach(rival) > 2.0 * places.reach(members)
