@@ -14,6 +14,7 @@ from pcm_jax.selection.batched import select_batched
 from pcm_jax.selection.choose import choose, select_from
 from pcm_jax.selection.method import Choice, SelectionMethod
 from pcm_jax.selection.methods import METHODS
+from pcm_jax.selection.methods.jcbb import repair
 from pcm_jax.selection.result import PairSelection, Selection
 from pcm_jax.selection.soft import soft_select
 from pcm_jax.selection.within_one_map import WithinSelection, clean_maps, select_within
@@ -27,6 +28,7 @@ __all__ = [
     "WithinSelection",
     "choose",
     "clean_maps",
+    "repair",
     "select_batched",
     "select_from",
     "select_within",
