@@ -169,24 +169,23 @@ class MergeResult:
 
     def _pair_rows(self) -> list[dict[str, Any]]:
         maps, closures = self.graph.maps, self.candidates
-        certificates = {
-            (pair.robot_a, pair.robot_b): (pair.optimal, pair.upper_bound)
-            for pair in (self.selection.pairs if self.selection else ())
-        }
+        decided = self.selection.pairs if self.selection else ()
+        certificates = {(pair.robot_a, pair.robot_b): pair for pair in decided}
         rows = []
         for a, b in closures.pairs():
             _, indices = closures.between(a, b)
-            optimal, upper_bound = certificates.get((a, b), (None, None))
-            rows.append(
-                {
-                    "a": maps[a].name,
-                    "b": maps[b].name,
-                    "measured": len(indices),
-                    "accepted": int(self.accepted[indices].sum()),
-                    "optimal": optimal,
-                    "upper_bound": upper_bound,
-                }
-            )
+            pair = certificates.get((a, b))
+            row = {
+                "a": maps[a].name,
+                "b": maps[b].name,
+                "measured": len(indices),
+                "accepted": int(self.accepted[indices].sum()),
+                "optimal": pair and pair.optimal,
+                "upper_bound": pair and pair.upper_bound,
+            }
+            if pair is not None and pair.weight is not None:
+                row |= {"weight": pair.weight, "weight_bound": pair.weight_bound}
+            rows.append(row)
         return rows
 
 

@@ -14,6 +14,7 @@ from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
 from pcm_jax.selection import PairSelection, Selection, choose
 from pcm_jax.selection.choose import Method, check_method, name_of, needs_distances
+from pcm_jax.selection.weights import check_weights, weights_for
 
 OF_WEIGHING = ("metric", "optimized", "memory_limit")
 """Options of `weigh`, which evidence has behind it."""
@@ -39,6 +40,10 @@ def select(
         selection.accepted                      # bool [m]
         pcm_jax.select(selection.evidence, confidence=0.9)  # asks again, at no cost
 
+    Where the closures of a robot pair differ in weight (`LoopClosures.weight`), the PCM methods
+    keep the heaviest consistent set instead of the largest; equal weights change nothing. A
+    closure of weight 0 is never kept by them.
+
     Args:
         graph: the robots' maps and the closures between them, or what `weigh` found of them.
         method: a name, see `select_from`, or a function `(evidence, gate) -> bool [k]` of one
@@ -57,17 +62,25 @@ def select(
 
     Raises:
         InputError: for an unknown method or option, a confidence outside (0, 1), a negative
-            minimum or limit, and what optimising the maps raises.
+            minimum or limit, a weight that is negative or not finite, and what optimising the maps
+            raises.
+
+    Warns:
+        InputWarning: where weights differ and the method is a named one that cannot go by them.
+            (A function has them in its evidence: `measured.weight`.)
     """
     weighing = {name: options.pop(name) for name in OF_WEIGHING if name in options}
     if time_limit is not None:
         options["time_limit"] = time_limit
     check_method(method, options)
+    if "weights" in options:
+        raise InputError("weights: not an option of select, expected them in the closures' weight")
     if minimum_inliers < 0:
         raise InputError(f"minimum_inliers: {minimum_inliers}, expected at least 0")
     check_graph(graph)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
+    check_weights(method, evidence.graph)
     watch, tell = StopWatch(), progress or silent
     accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
     for number, pair in enumerate(evidence.pairs):
@@ -76,11 +89,11 @@ def select(
             with watch("consistency"):
                 pair.packed(gate)
         with watch("clique"):
-            choice = choose(pair, gate, method=method, **options)
+            choice = choose(pair, gate, method=method, **options, **weights_for(method, pair))
         found = int(np.count_nonzero(choice.members))
         kept = choice.members & (found >= minimum_inliers)
         accepted[pair.closures] = kept
-        pairs.append(PairSelection(pair, gate, kept, choice.optimal, choice.upper_bound, found))
+        pairs.append(PairSelection.of_choice(pair, gate, kept, choice))
     tell("clique", len(pairs), len(pairs))
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
     return Selection(accepted, tuple(pairs), name_of(method), confidence, gate, evidence, seconds)

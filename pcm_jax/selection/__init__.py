@@ -4,6 +4,7 @@ method           what a method is (`SelectionMethod`), and what it returns (`Cho
 _distances       the two ways to read distances that are not symmetric
 methods/         one file a method, the host's form and the kernel side by side
 choose           `select_from` and `choose`: a method by name, or as a function, on one pair
+weights          which methods go by closures' weights; what is said where one cannot
 batched          `select_batched`: the kernels, on many small problems at once
 soft             `soft_select`: PCM relaxed, with derivatives
 within_one_map   `select_within`: the loop closures inside one robot's own map

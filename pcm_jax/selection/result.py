@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.consistency import Evidence, PairEvidence
 from pcm_jax.graph import PoseGraph
+from pcm_jax.selection.method import Choice
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -19,9 +20,12 @@ class PairSelection:
         evidence: what the method went by.
         gate: γ².
         accepted: bool [k].
-        optimal: whether no larger pairwise consistent set exists; None if the method does not say.
+        optimal: whether no larger pairwise consistent set exists (where weights decided: no heavier
+            one); None if the method does not say.
         upper_bound: no pairwise consistent set has more members; None likewise.
         found: how many members the method's set had, also where that was too few to be accepted.
+        weight: of the method's set, where the closures' weights decided; else None.
+        weight_bound: no pairwise consistent set weighs more; None likewise.
     """
 
     evidence: PairEvidence
@@ -30,13 +34,26 @@ class PairSelection:
     optimal: bool | None
     upper_bound: int | None
     found: int
+    weight: float | None = None
+    weight_bound: float | None = None
+
+    @classmethod
+    def of_choice(
+        cls, evidence: PairEvidence, gate: float, accepted: Bool[np.ndarray, " k"], choice: Choice
+    ) -> PairSelection:
+        """A decision with a method's certificate."""
+        found = int(np.count_nonzero(choice.members))
+        proof = choice.optimal, choice.upper_bound, found, choice.weight, choice.weight_bound
+        return cls(evidence, gate, accepted, *proof)
 
     def __repr__(self) -> str:
-        proof = {None: "not looked for", True: "proven", False: f"at most {self.upper_bound}"}
+        most = self.upper_bound if self.weight is None else f"weight {self.weight_bound:.6g}"
+        proof = {None: "not looked for", True: "proven", False: f"at most {most}"}
+        weight = "" if self.weight is None else f" of weight {self.weight:.6g},"
         return (
             f"PairSelection(robots {self.robot_a} and {self.robot_b})\n"
             f"  accepted     {int(self.accepted.sum())} of {len(self.accepted)}\n"
-            f"  largest set  {proof[self.optimal]}, gate {self.gate:.4g}"
+            f"  largest set {weight} {proof[self.optimal]}, gate {self.gate:.4g}"
         )
 
     @property
