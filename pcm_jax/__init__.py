@@ -35,13 +35,17 @@ if TYPE_CHECKING:
     from pcm_jax import evaluation, experiments, lie, plots, simulation  # noqa: F401
     from pcm_jax.clique import Clique, maximum_clique, maximum_clique_batched
     from pcm_jax.consistency import (
+        AlignmentDifference,
         ConsistencyProblem,
         Evidence,
+        JointConsistency,
         PackedGraph,
         PairEvidence,
+        alignment_difference,
         chi2_gate,
         consistency_graph,
         consistency_problem,
+        joint_consistency,
         squared_mahalanobis,
         squared_mahalanobis_of,
         stream_consistency_graph,
@@ -75,6 +79,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "AlignmentDifference",
     "Clique",
     "ConsistencyProblem",
     "ConvergenceWarning",
@@ -82,6 +87,7 @@ __all__ = [
     "FileFormatError",
     "InputError",
     "InputWarning",
+    "JointConsistency",
     "LoopClosures",
     "MapCovariance",
     "MergeResult",
@@ -92,6 +98,7 @@ __all__ = [
     "Selection",
     "Solution",
     "WithinSelection",
+    "alignment_difference",
     "ate_rmse",
     "chi2_gate",
     "clean_maps",
@@ -99,6 +106,7 @@ __all__ = [
     "consistency_problem",
     "false_positive_rate",
     "from_gtsam",
+    "joint_consistency",
     "joint_marginal_covariance",
     "maximum_clique",
     "maximum_clique_batched",
@@ -140,13 +148,17 @@ _NAMES_OF = {
     ),
     "mapping": ("MapCovariance", "Solution", "joint_marginal_covariance", "optimize"),
     "consistency": (
+        "AlignmentDifference",
         "ConsistencyProblem",
         "Evidence",
+        "JointConsistency",
         "PackedGraph",
         "PairEvidence",
+        "alignment_difference",
         "chi2_gate",
         "consistency_graph",
         "consistency_problem",
+        "joint_consistency",
         "squared_mahalanobis",
         "squared_mahalanobis_of",
         "stream_consistency_graph",

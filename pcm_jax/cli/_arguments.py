@@ -101,8 +101,8 @@ def _merge(commands: Any) -> None:
     merge.add_argument(
         "--method",
         default="pcm-exact",
-        help="pcm-exact, pcm-heuristic, combinatorial, ransac, scgp, clipper; dcs, gnc, switchable "
-        "or max-mixture (all closures, scaled); or all (default: %(default)s)",
+        help="pcm-exact, pcm-heuristic, combinatorial, ransac, scgp, clipper, jcbb; dcs, gnc, "
+        "switchable or max-mixture (all closures, scaled); or all (default: %(default)s)",
     )
     merge.add_argument(
         "--confidence",

@@ -236,7 +236,8 @@ def _pairs(pairs: list[dict[str, Any]]) -> str:
 def _optimal(pair: dict[str, Any]) -> str:
     if pair["optimal"] is None:
         return "not looked for"
-    return "proven" if pair["optimal"] else f"not proven, at most {pair['upper_bound']}"
+    most = f"weight {pair['weight_bound']:.6g}" if "weight" in pair else pair["upper_bound"]
+    return "proven" if pair["optimal"] else f"not proven, at most {most}"
 
 
 def _fit(solution: dict[str, Any]) -> str:

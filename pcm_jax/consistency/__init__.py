@@ -17,12 +17,20 @@ graph               `consistency_graph`: an edge where a pair passes in both dir
 streaming           all of it for tens of thousands of closures, panel by panel, straight to bits
 shuffled            the pairs that agree once measurements are shuffled: what chance does
 evidence            `Evidence`: what every pair of robots' closures say of each other
+stacked             the errors of k closures about one alignment, and their covariance
+joint               `joint_consistency`: whether all closures of a set can be right together
 """
 
 from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
 from pcm_jax.consistency.evidence import Evidence, PairEvidence
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
+from pcm_jax.consistency.joint import (
+    AlignmentDifference,
+    JointConsistency,
+    alignment_difference,
+    joint_consistency,
+)
 from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops, squared_rows
 from pcm_jax.consistency.problem import (
     ConsistencyProblem,
@@ -38,15 +46,19 @@ from pcm_jax.consistency.streaming import (
 from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
 
 __all__ = [
+    "AlignmentDifference",
     "ConsistencyProblem",
     "ConsistentPairs",
     "Evidence",
+    "JointConsistency",
     "PackedGraph",
     "PairEvidence",
     "WithinProblem",
+    "alignment_difference",
     "chi2_gate",
     "consistency_graph",
     "consistency_problem",
+    "joint_consistency",
     "loop_error",
     "odometry_edges",
     "problem_from_covariances",

@@ -205,6 +205,8 @@ def _outcomes(shuffles: Any, orders: Iterator[np.ndarray], mark: _Mark) -> Itera
     for order in orders:
         shown = min(max(0, SHOWN - made), len(order))
         for part, at_least in ((order[:shown], 0), (order[shown:], mark.places)):
+            if not len(part):
+                continue
             pairs = shuffles.weigh(part, at_least=at_least)
             for shuffle in range(len(part)):
                 outcome = _outcome(pairs.of(shuffle), at_least, mark)

@@ -175,25 +175,24 @@ class MergeResult:
 
     def _pair_rows(self) -> list[dict[str, Any]]:
         maps, closures = self.graph.maps, self.candidates
-        judged = {
-            (pair.robot_a, pair.robot_b): pair
-            for pair in (self.selection.pairs if self.selection else ())
-        }
+        decided = self.selection.pairs if self.selection else ()
+        certificates = {(pair.robot_a, pair.robot_b): pair for pair in decided}
         rows = []
         for a, b in closures.pairs():
             _, indices = closures.between(a, b)
-            pair = judged.get((a, b))
-            rows.append(
-                {
-                    "a": maps[a].name,
-                    "b": maps[b].name,
-                    "measured": len(indices),
-                    "accepted": int(self.accepted[indices].sum()),
-                    "optimal": pair.optimal if pair else None,
-                    "upper_bound": pair.upper_bound if pair else None,
-                    **_judged(pair.verdict if pair else None),
-                }
-            )
+            pair = certificates.get((a, b))
+            row = {
+                "a": maps[a].name,
+                "b": maps[b].name,
+                "measured": len(indices),
+                "accepted": int(self.accepted[indices].sum()),
+                "optimal": pair and pair.optimal,
+                "upper_bound": pair and pair.upper_bound,
+            }
+            row |= _judged(pair.verdict if pair else None)
+            if pair is not None and pair.weight is not None:
+                row |= {"weight": pair.weight, "weight_bound": pair.weight_bound}
+            rows.append(row)
         return rows
 
 

@@ -26,6 +26,7 @@ from pcm_jax.pipeline.select import OF_WEIGHING, check_graph, select
 from pcm_jax.pipeline.stages import STAGES, Progress, silent
 from pcm_jax.pipeline.weigh import optimized_maps
 from pcm_jax.selection.choose import Method, check_method, name_of
+from pcm_jax.selection.weights import check_weights
 
 EVERYTHING = "all"
 GIVEN = "given"
@@ -128,6 +129,7 @@ def merge(
         tell("merge", 0, 1)
         gate = chosen.gate
         if kind == "robust":
+            check_weights(method, given)
             gate = float(chi2_gate(_or(confidence, CONFIDENCE), given.tangent_dim))
             names = {"method": method, "solver": solver or "levenberg-marquardt", "engine": engine}
             robust = solve_robustly(own, gate=gate, **names, **options)  # type: ignore[arg-type]

@@ -15,6 +15,7 @@ from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
 from pcm_jax.selection import PairSelection, Selection, choose
 from pcm_jax.selection.choose import Method, check_method, name_of, needs_distances
+from pcm_jax.selection.weights import check_weights, weights_for
 
 CHANCE = "chance"
 ON_AMBIGUOUS = ("split", "largest")
@@ -47,6 +48,10 @@ def select(
         selection.pairs[0].verdict.why          # in a sentence
         pcm_jax.select(selection.evidence, confidence=0.9)  # asks again, at no cost
 
+    Where the closures of a robot pair differ in weight (`LoopClosures.weight`), the PCM methods
+    keep the heaviest consistent set instead of the largest; equal weights change nothing. A
+    closure of weight 0 is never kept by them.
+
     Args:
         graph: the robots' maps and the closures between them, or what `weigh` found of them.
         method: a name, see `select_from`, or a function `(evidence, gate) -> bool [k]` of one
@@ -74,12 +79,19 @@ def select(
 
     Raises:
         InputError: for an unknown method or option, a confidence or significance outside (0, 1), a
-            negative minimum, limit or separation, and what optimising the maps raises.
+            negative minimum, limit or separation, a weight that is negative or not finite, and what
+            optimising the maps raises.
+
+    Warns:
+        InputWarning: where weights differ and the method is a named one that cannot go by them.
+            (A function has them in its evidence: `measured.weight`.)
     """
     weighing = {name: options.pop(name) for name in OF_WEIGHING if name in options}
     if time_limit is not None:
         options["time_limit"] = time_limit
     check_method(method, options)
+    if "weights" in options:
+        raise InputError("weights: not an option of select, expected them in the closures' weight")
     check_minimum(minimum_inliers, significance)
     if on_ambiguous not in ON_AMBIGUOUS:
         raise InputError(
@@ -88,6 +100,7 @@ def select(
     check_graph(graph)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
+    check_weights(method, evidence.graph)
     watch, tell = StopWatch(), progress or silent
     choices = []
     for number, pair in enumerate(evidence.pairs):
@@ -96,7 +109,8 @@ def select(
             with watch("consistency"):
                 pair.packed(gate)
         with watch("clique"):
-            choices.append(choose(pair, gate, method=method, **options))
+            weights = weights_for(method, pair)
+            choices.append(choose(pair, gate, method=method, **options, **weights))
     tell("clique", len(choices), len(choices))
     found = [(pair, choice.members) for pair, choice in zip(evidence.pairs, choices, strict=True)]
     tell("chance", 0, 1)
@@ -116,10 +130,8 @@ def select(
     tell("chance", 1, 1)
     accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
     for pair, choice, verdict in zip(evidence.pairs, choices, verdicts, strict=True):
-        kept = choice.members & verdict.believed
-        accepted[pair.closures] = kept
-        proof = choice.optimal, choice.upper_bound
-        pairs.append(PairSelection(pair, gate, kept, *proof, verdict.found, verdict))
+        pairs.append(PairSelection.of_choice(pair, gate, choice, verdict))
+        accepted[pair.closures] = pairs[-1].accepted
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
     return Selection(accepted, tuple(pairs), name_of(method), confidence, gate, evidence, seconds)
 

@@ -4,6 +4,7 @@ method           what a method is (`SelectionMethod`), and what it returns (`Cho
 _distances       the two ways to read distances that are not symmetric
 methods/         one file a method, the host's form and the kernel side by side
 choose           `select_from` and `choose`: a method by name, or as a function, on one pair
+weights          which methods go by closures' weights; what is said where one cannot
 batched          `select_batched`: the kernels, on many small problems at once
 soft             `soft_select`: PCM relaxed, with derivatives
 within_one_map   `select_within`: the loop closures inside one robot's own map
@@ -14,6 +15,7 @@ from pcm_jax.selection.batched import select_batched
 from pcm_jax.selection.choose import choose, select_from
 from pcm_jax.selection.method import Choice, SelectionMethod
 from pcm_jax.selection.methods import METHODS
+from pcm_jax.selection.methods.jcbb import repair
 from pcm_jax.selection.result import PairSelection, Selection
 from pcm_jax.selection.soft import soft_select
 from pcm_jax.selection.within_one_map import WithinSelection, clean_maps, select_within
@@ -27,6 +29,7 @@ __all__ = [
     "WithinSelection",
     "choose",
     "clean_maps",
+    "repair",
     "select_batched",
     "select_from",
     "select_within",

@@ -36,7 +36,7 @@ def select_from(
         gate: γ², the largest squared distance of two that agree, see `chi2_gate`.
         method: `"pcm-exact"`, `"pcm-heuristic"`, `"combinatorial"`, `"ransac"`, `"scgp"` or
             `"clipper"`; or a function `(evidence, gate) -> bool [m]`, whose evidence has `squared`
-            and `consistent(gate)`.
+            and `consistent(gate)`. `"jcbb"` needs the maps too, which `select` has.
         with_certificate: whether to return the `Choice`: `members`, and the method's certificate.
         **options: the method's own: `weights`, `time_limit` and `tie_break` of `"pcm-exact"`,
             `weights` and `time_limit` of `"pcm-heuristic"`, `affinity` of `"scgp"`.
@@ -46,7 +46,7 @@ def select_from(
 
     Raises:
         InputError: for an unknown method or option, distances that are not a square matrix of
-            numbers, a gate that is not a number of at least 0.
+            numbers, a gate that is not a number of at least 0, a method that needs the maps.
     """
     check_method(method, options)
     choice = choose(PairEvidence.from_squared(np.asarray(squared)), gate, method=method, **options)
@@ -56,17 +56,28 @@ def select_from(
 def choose(
     evidence: PairEvidence, gate: Any, *, method: Method = "pcm-exact", **options: Any
 ) -> Choice:
-    """Lets a method choose among the closures between two robots; see `select_from`."""
+    """Lets a method choose among the closures between two robots; see `select_from`.
+
+    Raises:
+        InputError: as `select_from`; for `"jcbb"` only where the evidence is of distances alone.
+    """
     check_method(method, options)
     if np.ndim(gate) != 0 or not float(gate) >= 0.0:
         raise InputError(f"gate: {gate}, expected one number of at least 0")
     gate = float(gate)
     if not isinstance(method, str):
         return Choice(_checked_mask(method(evidence, gate), len(evidence), name_of(method)))
+    if METHODS[method].choose is None:
+        if evidence.covariances is None:
+            raise InputError(
+                f"method: {method!r} needs the maps' covariances, expected the evidence of two maps"
+                " that `weigh` gives, as in select(graph, method=…)"
+            )
+        return METHODS[method].choose_from(evidence, gate, **options)  # type: ignore[misc]
     if evidence.is_streamed and not needs_distances(method, options):
         own = {name: value for name, value in options.items() if name != "tie_break"}
         return METHODS[method].choose_in(evidence.consistent(gate), **own)  # type: ignore[misc]
-    return METHODS[method].choose(evidence.squared, gate, **options)
+    return METHODS[method].choose(evidence.squared, gate, **options)  # type: ignore[misc]
 
 
 def needs_distances(method: Method, options: dict[str, Any]) -> bool:
@@ -74,7 +85,8 @@ def needs_distances(method: Method, options: dict[str, Any]) -> bool:
     if not isinstance(method, str):
         return False  # a function asks the evidence for what it needs
     by_distance = options.get("tie_break", "index") != "index"
-    return METHODS[method].choose_in is None or by_distance
+    of_graph = METHODS[method].choose_in or METHODS[method].choose_from
+    return of_graph is None or by_distance
 
 
 def name_of(method: Method) -> str:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.consistency import Evidence, PairEvidence
 from pcm_jax.graph import PoseGraph
+from pcm_jax.selection.method import Choice
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -20,9 +21,12 @@ class PairSelection:
         evidence: what the method went by.
         gate: γ².
         accepted: bool [k].
-        optimal: whether no larger pairwise consistent set exists; None if the method does not say.
+        optimal: whether no larger pairwise consistent set exists (where weights decided: no heavier
+            one); None if the method does not say.
         upper_bound: no pairwise consistent set has more members; None likewise.
         found: how many members the method's set had, also where it was not accepted.
+        weight: of the method's set, where the closures' weights decided; else None.
+        weight_bound: no pairwise consistent set weighs more; None likewise.
         verdict: why it was accepted or not, see `integrity.Verdict`.
     """
 
@@ -32,15 +36,29 @@ class PairSelection:
     optimal: bool | None
     upper_bound: int | None
     found: int
+    weight: float | None = None
+    weight_bound: float | None = None
     verdict: Any = None
 
+    @classmethod
+    def of_choice(
+        cls, evidence: PairEvidence, gate: float, choice: Choice, verdict: Any
+    ) -> PairSelection:
+        """The decision on a method's choice, with its certificate."""
+        found = int(np.count_nonzero(choice.members))
+        proof = choice.optimal, choice.upper_bound, found, choice.weight, choice.weight_bound
+        return cls(evidence, gate, choice.members & verdict.believed, *proof, verdict)
+
     def __repr__(self) -> str:
-        proof = {None: "not looked for", True: "proven", False: f"at most {self.upper_bound}"}
+        most = self.upper_bound if self.weight is None else f"weight {self.weight_bound:.6g}"
+        proof = {None: "not looked for", True: "proven", False: f"at most {most}"}
+        weight = "" if self.weight is None else f" of weight {self.weight:.6g},"
+        why = self.verdict.why if self.verdict else f"{self.found} found"
         return (
             f"PairSelection(robots {self.robot_a} and {self.robot_b})\n"
-            f"  accepted     {int(self.accepted.sum())} of {len(self.accepted)}\n"
-            f"  largest set  {proof[self.optimal]}, gate {self.gate:.4g}"
-            + (f"\n  verdict      {self.verdict.why}" if self.verdict else "")
+            f"  accepted  {int(self.accepted.sum())} of {len(self.accepted)}; largest set"
+            f"{weight} {proof[self.optimal]}, gate {self.gate:.4g}\n"
+            f"  verdict   {why}"
         )
 
     @property

@@ -5,6 +5,7 @@ combinatorial   the same set by enumeration
 ransac          every measurement tried as the model
 scgp            the densest cluster, by the leading eigenvector
 clipper         a dense clique, by a relaxation
+jcbb            the largest set that passes as a whole, by branch and bound
 
 A file is found by being here: its tuple `METHODS` of `SelectionMethod` records says what it offers
 by which names. A method of one's own needs no file: `select` and `merge` take a function.

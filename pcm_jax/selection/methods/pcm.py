@@ -49,9 +49,8 @@ def pcm_exact(
         raise InputError(f"tie_break: {tie_break!r}, expected one of {', '.join(TIE_BREAKS)}")
     graph = consistent_pairs(squared, gate)
     distances = np.where(graph, squared, 0.0) if tie_break == "distance" else None
-    return _choice(
-        maximum_clique(graph, weights=weights, time_limit=time_limit, tie_break=distances)
-    )
+    clique = maximum_clique(graph, weights=weights, time_limit=time_limit, tie_break=distances)
+    return _choice(clique, weights)
 
 
 def pcm_heuristic(
@@ -73,7 +72,7 @@ def pcm_exact_in(
     time_limit: float | None = None,
 ) -> Choice:
     """`pcm_exact` of a consistency graph, ties by index."""
-    return _choice(maximum_clique(graph, weights=weights, time_limit=time_limit))
+    return _choice(maximum_clique(graph, weights=weights, time_limit=time_limit), weights)
 
 
 def pcm_heuristic_in(
@@ -83,13 +82,13 @@ def pcm_heuristic_in(
     time_limit: float | None = None,
 ) -> Choice:
     """`pcm_heuristic` of a consistency graph."""
-    return _choice(
-        maximum_clique(graph, method="heuristic", weights=weights, time_limit=time_limit)
-    )
+    clique = maximum_clique(graph, method="heuristic", weights=weights, time_limit=time_limit)
+    return _choice(clique, weights)
 
 
-def _choice(clique: Clique) -> Choice:
-    return Choice(clique.members, clique.optimal, clique.upper_bound)
+def _choice(clique: Clique, weights: Any) -> Choice:
+    weighed = (None, None) if weights is None else (clique.weight, clique.weight_bound)
+    return Choice(clique.members, clique.optimal, clique.upper_bound, *weighed)
 
 
 def pcm_exact_kernel(squared: Float[Array, "m m"], gate: Any) -> Bool[Array, " m"]:
