@@ -16,7 +16,7 @@ from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.robust import RobustSolution
-from pcm_jax.selection import Selection
+from pcm_jax.selection import PairSelection, Selection
 
 POSE_FIELDS = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "qx", "qy", "qz", "qw")}
 
@@ -189,33 +189,39 @@ class MergeResult:
                 "optimal": pair and pair.optimal,
                 "upper_bound": pair and pair.upper_bound,
             }
-            row |= _judged(pair.verdict if pair else None)
+            row |= _judged(pair)
             if pair is not None and pair.weight is not None:
                 row |= {"weight": pair.weight, "weight_bound": pair.weight_bound}
             rows.append(row)
         return rows
 
 
-def _judged(verdict: Any) -> dict[str, Any]:
-    """The rows of a report on what was found between two robots, and why it is believed or not."""
-    if verdict is None:
-        return dict.fromkeys(("found", "places", "chance", "rival", "ambiguous", "why"))
-    rival = verdict.rival
+def _judged(pair: PairSelection | None) -> dict[str, Any]:
+    """The fields of a report on what was found between two robots, and why it is believed."""
+    if pair is None or pair.verdict is None:
+        names = ("found", "places", "chance", "rival", "ambiguous", "joint", "why")
+        return dict.fromkeys(names)
+    verdict, joint = pair.verdict, pair.joint
     return {
         "found": verdict.found,
         "places": verdict.places,
         "chance": verdict.chance.p_value if verdict.chance else None,
-        "rival": {
-            "size": rival.size,
-            "places": rival.places,
-            "shared": rival.shared,
-            "alignment": _pose_fields(rival.joint.alignment),
-            "chance": rival.chance.p_value if rival.chance else None,
-        }
-        if rival
-        else None,
+        "rival": _rival(verdict.rival),
         "ambiguous": verdict.ambiguous,
+        "joint": {"chi2": joint.chi2, "dof": joint.dof, "p": joint.p} if joint else None,
         "why": verdict.why,
+    }
+
+
+def _rival(rival: Any) -> dict[str, Any] | None:
+    if rival is None:
+        return None
+    return {
+        "size": rival.size,
+        "places": rival.places,
+        "shared": rival.shared,
+        "alignment": _pose_fields(rival.joint.alignment),
+        "chance": rival.chance.p_value if rival.chance else None,
     }
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pcm_jax.consistency import Evidence, PairEvidence
+from pcm_jax.consistency import (
+    Evidence,
+    JointConsistency,
+    PairEvidence,
+    joint_consistency,
+)
 from pcm_jax.graph import PoseGraph
 from pcm_jax.selection.method import Choice
 
@@ -80,6 +86,11 @@ class PairSelection:
     def squared(self) -> Float[np.ndarray, "k k"]:
         """The squared distances; see `PairEvidence.squared`."""
         return self.evidence.squared
+
+    @functools.cached_property
+    def joint(self) -> JointConsistency | None:
+        """The test of whether all accepted closures are right together; None where none is."""
+        return joint_consistency(self.evidence, self.accepted) if self.accepted.any() else None
 
     def consistent(self) -> Bool[np.ndarray, "k k"]:
         """The consistency graph at the gate, k² bytes."""

@@ -164,7 +164,7 @@ def test_progress_names_stages_and_counts_them(world):
     told = []
     merge(world.graph, progress=lambda *now: told.append(now))
     stages = list(dict.fromkeys(stage for stage, _, _ in told))
-    assert stages == ["optimize", "consistency", "clique", "merge"]
+    assert stages == ["optimize", "consistency", "clique", "chance", "merge"]
     assert all(0 <= done <= total for _, done, total in told)
     assert {stage for stage, done, total in told if done == total} == set(stages)
 

@@ -298,7 +298,7 @@ def test_report_is_plain_and_complete(world):
     (pair,) = report["robot_pairs"]
     assert (pair["a"], pair["b"], pair["optimal"]) == ("a", "b", True)
     assert pair["accepted"] == pair["upper_bound"] == world.is_true.sum()
-    stages = {"optimize", "marginals", "consistency", "clique", "merge", "compile"}
+    stages = {"optimize", "marginals", "consistency", "clique", "chance", "merge", "compile"}
     assert set(report["seconds"]) == stages
 
 

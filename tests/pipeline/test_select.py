@@ -49,7 +49,7 @@ def test_pairs_report_what_was_decided(world, selection):
 
 
 def test_every_stage_is_timed(selection):
-    assert list(selection.seconds) == ["optimize", "marginals", "consistency", "clique"]
+    assert list(selection.seconds) == ["optimize", "marginals", "consistency", "clique", "chance"]
     assert all(seconds > 0 for seconds in selection.seconds.values())
 
 
@@ -99,7 +99,7 @@ def test_beyond_the_memory_limit_the_graph_is_streamed(world, selection, method)
         np.testing.assert_array_equal(one.consistent(), other.consistent())
         assert (one.optimal, one.upper_bound) == (other.optimal, other.upper_bound)
     counts = [len(pair.closures) for pair in streamed.pairs]
-    assert {stage for stage, _, _ in told} == {"consistency", "clique"}
+    assert {stage for stage, _, _ in told} == {"consistency", "clique", "chance"}
     ends = [("consistency", m * (m - 1) // 2, m * (m - 1) // 2) for m in counts]
     assert [now for now in told if now in ends] == ends
 
