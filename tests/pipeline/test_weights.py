@@ -55,7 +55,7 @@ def test_equal_weights_change_nothing(world, weighed, same):
 def test_the_heaviest_set_wins_and_says_its_weight(world, weighed):
     weight = np.where(world.is_true, 0.1, 5.0)
     weight[::7] = 0.2
-    selection = select(weighed(weight))
+    selection = select(weighed(weight), minimum_inliers=2)
     for pair in selection.pairs:
         own = weight[pair.closures]
         graph = nx.from_numpy_array(pair.consistent())

@@ -87,14 +87,16 @@ def test_three_of_which_each_two_agree_but_not_all_three(group, triangle):
     joint = joint_consistency(pair)
     assert joint.chi2 == pytest.approx(OFF[group], rel=1e-6)
     assert (joint.dof, joint.p) == (2 * d, pytest.approx(chi2.sf(OFF[group], 2 * d)))
-    by_pairs, jointly = select(evidence), select(evidence, method="jcbb")
+    by_pairs, jointly = (
+        select(evidence, method=m, minimum_inliers=2) for m in ("pcm-exact", "jcbb")
+    )
     assert by_pairs.accepted.tolist() == [True] * 3
     assert jointly.accepted.tolist() == [True, True, False]
     assert (jointly.pairs[0].optimal, jointly.pairs[0].upper_bound) == (True, 2)
     assert repair(pair, by_pairs.accepted).members.tolist() == [True, True, False]
     assert repair(pair, [1, 2]).members.tolist() == [False, True, True]
     assert repair(pair, [0, 1, 2], confidence=0.9999).members.all()
-    assert merge(evidence, method="jcbb").accepted.sum() == 2
+    assert merge(evidence, method="jcbb", minimum_inliers=2).accepted.sum() == 2
 
 
 def test_the_gate_decides_for_the_whole_set(triangle):
@@ -230,7 +232,7 @@ def test_distances_alone_do_not_suffice():
 
 
 def test_streamed_evidence_has_the_same_answer(triangle):
-    streamed = select(triangle, optimized=True, memory_limit=0, method="jcbb")
+    streamed = select(triangle, optimized=True, memory_limit=0, method="jcbb", minimum_inliers=2)
     assert streamed.pairs[0].evidence.is_streamed
     assert streamed.accepted.tolist() == [True, True, False]
 
