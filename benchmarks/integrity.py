@@ -1,0 +1,209 @@
+"""Merges of robots that never met, and of robots that did, by the rule that says when to believe.
+
+    python -m benchmarks.integrity --out DIR [--worlds 300] [--groups SE2 SE3] [--closures 20 100]
+
+Two simulated robots; of m candidates t are right, the others false by one of three laws: "uniform",
+the other robot stands anywhere in the common bounding box; "near", within 10 m of the first;
+"identity", both at the same spot, to the closures' noise. Odometry drifts as the simulator's or
+some times as much; maps are closed by loops of their own, or odometry alone. With `--aliased G`
+one group of G of the false closures agrees within itself (`simulation.outliers`).
+
+Rules: "2", "3", "5": so many closures suffice; "chance": the set has to stand out from chance
+(`integrity.chance`); "default": and must have no rival about as good (`integrity.rivals`).
+A world counts as *merged wrongly* if most of the accepted closures are false, as *found* if most
+are right. Bounds are Clopper and Pearson's, one-sided, 99 %.
+
+Writes summary.json ({cell: {rule: figures}}), table.md and run.json.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from benchmarks.experiments.command import command_parser, run_tasks, write_run
+from benchmarks.experiments.record import LIBRARY
+from pcm_jax import MultiRobotGraph, PoseGraph, lie, select, weigh
+from pcm_jax.arrays import on_host
+from pcm_jax.evaluation import comparison_table
+from pcm_jax.integrity import Verdict
+from pcm_jax.simulation import simulate_city, simulate_sessions
+from pcm_jax.store import Store, digest, write_json
+
+LAWS = ("uniform", "near", "identity")
+FIXED = (2, 3, 5)
+POSES = 200
+NEAR = 10.0
+NOISE = {
+    "SE2": {"sigma_translation": 0.02, "sigma_rotation": 0.002},
+    "SE3": {"sigma_translation": 0.05, "sigma_rotation": 0.005},
+}
+COLUMNS = {
+    "worlds": "worlds",
+    "wrong": "merged wrongly, %",
+    "wrong_bound": "at most, %",
+    "right": "found, %",
+    "milliseconds": "ms a world",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command."""
+    parser = command_parser("integrity", __doc__)
+    parser.add_argument("--worlds", type=int, default=300, metavar="N", help="in a cell")
+    parser.add_argument("--groups", nargs="+", default=["SE2", "SE3"], choices=["SE2", "SE3"])
+    parser.add_argument("--closures", type=int, nargs="+", default=[20, 50, 100, 200, 500])
+    parser.add_argument("--right", type=int, nargs="+", default=[0, 3, 5], metavar="T")
+    parser.add_argument("--aliased", type=int, nargs="+", default=[0], metavar="G")
+    parser.add_argument("--laws", nargs="+", default=list(LAWS), choices=LAWS)
+    parser.add_argument("--drifts", type=float, nargs="+", default=[1.0, 4.0], metavar="X")
+    parser.add_argument("--loops", nargs="+", default=["loops", "odometry"])
+    options = parser.parse_args(arguments)
+    start = time.perf_counter()
+    options.out.mkdir(parents=True, exist_ok=True)
+    steps = Store(options.out / "steps", digest(options.worlds, options.seeds, files=LIBRARY))
+    cells = itertools.product(
+        options.groups,
+        options.closures,
+        options.right,
+        options.aliased,
+        options.laws,
+        options.drifts,
+        options.loops,
+    )
+    tasks = {
+        name(*cell): partial(cell_of, *cell, worlds=options.worlds, seed=options.seeds[0])
+        for cell in cells
+        if cell[1] >= cell[2] + cell[3]
+    }
+    found = run_tasks("cells", tasks, steps, jobs=options.jobs)
+    rows = {f"{cell}, {rule}": own for cell, rules in found.items() for rule, own in rules.items()}
+    table = comparison_table(rows, COLUMNS)
+    write_json(options.out / "summary.json", found)
+    (options.out / "table.md").write_text(table + "\n")
+    write_run(options.out, options, start)
+    print(table)
+    return 0
+
+
+def name(
+    group: str, count: int, right: int, aliased: int, law: str, drift: float, loops: str
+) -> str:
+    """The name of a cell."""
+    groups = f", {aliased} aliased" if aliased else ""
+    return f"{group}, {right} of {count} right{groups}, {law}, drift {drift:g}, {loops}"
+
+
+def cell_of(
+    group: str,
+    count: int,
+    right: int,
+    aliased: int,
+    law: str,
+    drift: float,
+    loops: str,
+    *,
+    worlds: int,
+    seed: int,
+) -> dict[str, dict[str, float]]:
+    """The rates of every rule over many worlds of one law."""
+    outcomes: dict[str, list[tuple[bool, bool, float]]] = {}
+    for number in range(worlds):
+        graph, is_true = world_of(group, count, right, aliased, law, drift, loops, (seed, number))
+        for rule, (accepted, seconds) in decisions(graph).items():
+            kept = int(accepted.sum())
+            true = int((accepted & is_true).sum())
+            outcome = (kept > 0 and 2 * true < kept, 2 * true >= max(1, kept), seconds)
+            outcomes.setdefault(rule, []).append(outcome)
+    return {rule: rates(np.array(own, float)) for rule, own in outcomes.items()}
+
+
+@on_host
+def decisions(graph: MultiRobotGraph) -> dict[str, tuple[np.ndarray, float]]:
+    """What each rule accepts, and the seconds that the last two take besides."""
+    evidence = weigh(graph)
+    nothing = np.zeros(len(graph.closures), bool)
+    by_number = select(evidence, minimum_inliers=2)
+    most = by_number.pairs[0].found
+    found = {str(k): (by_number.accepted if most >= k else nothing, 0.0) for k in FIXED}
+    start = time.perf_counter()
+    judged = select(evidence, on_ambiguous="largest")
+    seconds = time.perf_counter() - start
+    verdict: Verdict = judged.pairs[0].verdict
+    found["chance"] = judged.accepted, seconds
+    found["default"] = (nothing if verdict.ambiguous else judged.accepted), seconds
+    return found
+
+
+def world_of(
+    group: str,
+    count: int,
+    right: int,
+    aliased: int,
+    law: str,
+    drift: float,
+    loops: str,
+    seed: tuple[int, int],
+) -> tuple[MultiRobotGraph, np.ndarray]:
+    """Two robots and their candidates, and which of these are right."""
+    simulate: Any = simulate_city if group == "SE2" else simulate_sessions
+    world = simulate(
+        seed=seed[0] * 1_000_000 + seed[1],
+        poses=POSES,
+        inliers=right,
+        aliased_groups=1 if aliased else 0,
+        aliased_size=max(1, aliased),
+        random=count - right - aliased,
+        random_range=NEAR if law == "near" else None,
+        **{kind: drift * sigma for kind, sigma in NOISE[group].items()},
+    )
+    closures = world.graph.closures
+    if law == "identity":
+        closures = _at_the_same_spot(closures, world.labels < 0, np.random.default_rng(seed))
+    maps = world.graph.maps
+    if loops == "odometry":
+        maps = tuple(_odometry(one) for one in maps)
+    return MultiRobotGraph(maps, closures), world.is_true
+
+
+def _at_the_same_spot(closures: Any, false: np.ndarray, generator: np.random.Generator) -> Any:
+    """False closures that say that both robots stand at the same spot."""
+    root = np.linalg.cholesky(np.linalg.inv(np.asarray(closures.information)))
+    drawn = generator.normal(size=(len(closures), root.shape[-1], 1))
+    tangents: Any = (root @ drawn)[..., 0]
+    here = lie.exp(closures.group, tangents)
+    values = np.where(
+        false[:, None],
+        lie.parameters(lie.as_numpy(here)),
+        lie.parameters(lie.as_numpy(closures.measurement)),
+    )
+    return dataclasses.replace(closures, measurement=closures.group(values))
+
+
+def _odometry(one: PoseGraph) -> PoseGraph:
+    return one.with_edges(np.asarray(one.head) - np.asarray(one.tail) == 1)
+
+
+def rates(outcomes: np.ndarray) -> dict[str, float]:
+    """Percentages of worlds (wrong, found, seconds)."""
+    worlds = len(outcomes)
+    wrong, right = outcomes[:, :2].sum(axis=0)
+    bound = 1.0 if wrong == worlds else float(beta.ppf(0.99, wrong + 1, worlds - wrong))
+    return {
+        "worlds": worlds,
+        "wrong": 100.0 * wrong / worlds,
+        "wrong_bound": 100.0 * bound,
+        "right": 100.0 * right / worlds,
+        "milliseconds": 1e3 * float(np.median(outcomes[:, 2])),
+    }
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
