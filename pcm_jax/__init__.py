@@ -6,8 +6,8 @@ which may be wrong, to the closures to believe and one merged map:
     graph = pcm_jax.read_graph("a.g2o", "b.g2o", closures="candidates.csv")
     result = pcm_jax.merge(graph)
 
-The names below and the modules `evaluation`, `experiments`, `lie`, `plots` and `simulation` are
-loaded when first used, so that `import pcm_jax` costs next to nothing.
+The names below and the modules `evaluation`, `experiments`, `integrity`, `lie`, `plots` and
+`simulation` are loaded when first used, so that `import pcm_jax` costs next to nothing.
 
 These go through JAX's transformations, alone and inside each other; – says that the result is a
 choice, constant between its jumps:
@@ -32,7 +32,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcm_jax import evaluation, experiments, lie, plots, simulation  # noqa: F401
+    from pcm_jax import evaluation, experiments, integrity, lie, plots, simulation  # noqa: F401
     from pcm_jax.clique import Clique, maximum_clique, maximum_clique_batched
     from pcm_jax.consistency import (
         AlignmentDifference,
@@ -182,7 +182,7 @@ _NAMES_OF = {
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 
 
-_MODULES = ("evaluation", "experiments", "lie", "plots", "simulation")
+_MODULES = ("evaluation", "experiments", "integrity", "lie", "plots", "simulation")
 
 
 def __getattr__(name: str) -> Any:
