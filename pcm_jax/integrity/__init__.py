@@ -4,23 +4,29 @@ places   closures beside each other along both ways are one witness
 chance   how often closures of which none is right agree as well
 rivals   the best set that implies another alignment
 verdict  what is believed, all pairs of robots together, and why
+team     cycles of robots: whether the alignments of a team's pairs fit together
 """
 
 from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
 from pcm_jax.integrity.places import Places, places_of, way_of
 from pcm_jax.integrity.rivals import Rival, strongest_rival
+from pcm_jax.integrity.team import Cycle, cycles_of, judge_team, minority
 from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_number
 
 __all__ = [
     "SIGNIFICANCE",
     "ChanceLevel",
+    "Cycle",
     "Places",
     "Rival",
     "Verdict",
     "chance_level",
+    "cycles_of",
     "holm",
     "judge_by_chance",
     "judge_by_number",
+    "judge_team",
+    "minority",
     "places_of",
     "strongest_rival",
     "way_of",

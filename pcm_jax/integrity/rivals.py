@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from pcm_jax.arrays import on_host
 from pcm_jax.clique import maximum_clique
@@ -123,18 +123,22 @@ def strongest_rival(
     if largest is None:
         return None
     found, agreeing, chance, ambiguous = largest
-    chosen = np.flatnonzero(found)
-    some = chosen[np.unique(np.linspace(0, len(chosen) - 1, JOINT).round().astype(int))]
     return Rival(
         members=found,
-        size=len(chosen),
+        size=int(found.sum()),
         places=places.count(found),
         shared=int(graph[np.ix_(members, found)].all(axis=1).sum()),
         agreeing=agreeing,
-        joint=joint_consistency(evidence, some),
+        joint=joint_consistency(evidence, evenly(found, JOINT)),
         chance=chance,
         ambiguous=ambiguous,
     )
+
+
+def evenly(members: Bool[np.ndarray, " k"], most: int) -> Int[np.ndarray, " s"]:
+    """The indices of so many members at most, evenly spaced."""
+    chosen = np.flatnonzero(members)
+    return chosen[np.unique(np.linspace(0, len(chosen) - 1, most).round().astype(int))]
 
 
 def _largest_among(

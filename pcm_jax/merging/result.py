@@ -135,6 +135,14 @@ class MergeResult:
                 for robot in range(len(graph.maps))
             ],
             "solution": solution,
+            "team": [
+                {
+                    "cycle": [graph.maps[robot].name for robot in cycle.robots],
+                    "chi2": cycle.chi2,
+                    "p": cycle.p,
+                }
+                for cycle in (self.selection.team if self.selection else ())
+            ],
             "groups": [[graph.maps[robot].name for robot in group] for group in self.groups],
             "seconds": dict(self.seconds),
         }

@@ -10,7 +10,7 @@ from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.integrity import SIGNIFICANCE, judge_by_chance, judge_by_number
+from pcm_jax.integrity import SIGNIFICANCE, judge_by_chance, judge_by_number, judge_team
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
 from pcm_jax.selection import PairSelection, Selection, choose
@@ -124,8 +124,9 @@ def select(
                 on_ambiguous=on_ambiguous,
                 seed=seed,
             )
+            verdicts, team = judge_team(found, verdicts)
         else:
-            minimum = int(minimum_inliers)
+            minimum, team = int(minimum_inliers), ()
             verdicts = [judge_by_number(*each, minimum, gate, separation) for each in found]
     tell("chance", 1, 1)
     accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
@@ -133,7 +134,8 @@ def select(
         pairs.append(PairSelection.of_choice(pair, gate, choice, verdict))
         accepted[pair.closures] = pairs[-1].accepted
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
-    return Selection(accepted, tuple(pairs), name_of(method), confidence, gate, evidence, seconds)
+    names = name_of(method), confidence, gate
+    return Selection(accepted, tuple(pairs), *names, evidence, seconds, team)
 
 
 def check_minimum(minimum: Any, significance: float | None) -> None:

@@ -110,6 +110,7 @@ class Selection:
         evidence: what `weigh` found, for further questions.
         seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"`, `"clique"` and
             `"chance"`; those of the evidence are what it took when it was made.
+        team: the cycles of robots over believed pairs, see `integrity.Cycle`.
     """
 
     accepted: Bool[np.ndarray, " m"]
@@ -119,6 +120,7 @@ class Selection:
     gate: float
     evidence: Evidence
     seconds: dict[str, float]
+    team: tuple[Any, ...] = ()
 
     def __repr__(self) -> str:
         names = self.evidence.graph.names

@@ -121,7 +121,18 @@ def test_the_summary(run, city):
     lines = ran.out.splitlines()
     assert lines[0].split()[:4] == ["robot", "poses", "edges", "group"]
     assert lines[1].split()[:2] == ["a", "60"]
-    assert lines[5].split()[:10] == "a - b 20 6 proven 6 of 20 closures".split()
+    assert lines[5].split()[:10] == [
+        "a",
+        "-",
+        "b",
+        "20",
+        "6",
+        "proven",
+        "6",
+        "of",
+        "20",
+        "closures",
+    ]
     assert lines[7].startswith("cost ") and "converged after" in lines[7]
 
 
