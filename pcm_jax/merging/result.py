@@ -152,7 +152,7 @@ class MergeResult:
 
     @functools.cached_property
     def _covariance_of(self) -> dict[int, tuple[MapCovariance, int]]:
-        """Of each robot: the covariance of its group's merged map, where its own poses begin."""
+        """The covariance of each robot's group, and where the robot's own poses begin in it."""
         graph, found = self.graph, {}
         here = lie.identity(graph.group, (len(graph.maps),))
         every = np.ones(len(graph.closures), bool)
