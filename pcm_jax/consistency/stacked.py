@@ -28,7 +28,7 @@ from pcm_jax.consistency.evidence import PairEvidence
 from pcm_jax.errors import InputError
 from pcm_jax.mapping import MapCovariance
 
-STEPS, TOLERANCE = 20, 1e-11
+STEPS, TOLERANCE = 20, 1e-8
 """Steps towards the common alignment, at most, and the last one's size in standard deviations."""
 
 

@@ -7,11 +7,12 @@ import functools
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.graph import LoopClosures, MultiRobotGraph
+from pcm_jax.errors import InputError
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
@@ -104,9 +105,70 @@ class MergeResult:
     def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
         """The covariance of each `T_r` for `T_r exp(δ)`: how well its map is tied to its group.
 
-        Zero for the first robot of a group, whose frame is the group's.
+        Zero for the first robot of a group, whose frame is the group's. About the origin of the
+        robot's own frame: far from its map, a small turn there is a long way;
+        `anchor_covariance_at_middle` is about the map's middle.
         """
-        return _anchor_covariance(self)
+        return _anchor_covariance(self, np.zeros((len(self.maps), self._space)))
+
+    @functools.cached_property
+    def anchor_covariance_at_middle(self) -> Float[np.ndarray, "robots d d"]:
+        """The covariance of each map's place, about the mean position m of the map's own poses.
+
+        That of δ in `T_r t(m) exp(δ)`, with t(m) the translation by m: how uncertain the middle of
+        the map is, wherever its frame's origin lies. m², m rad, rad².
+        """
+        return _anchor_covariance(self, np.stack([_middle(own) for own in self.maps]))
+
+    @on_host
+    def marginals(
+        self, robot: int, poses: Int[np.ndarray, " k"] | None = None
+    ) -> Float[np.ndarray, "k*d k*d"]:
+        """Computes the joint covariance of some merged poses of a robot, in its group's frame.
+
+            result.marginals(1, [0, 17])  # [2 d, 2 d]
+
+        To first order, from all edges and the accepted closures; the first pose of the group's
+        first robot is held. The merged map is factorised once, however often this is asked.
+
+        Args:
+            robot: its index.
+            poses: `[k]` indices among its poses, in any order, each once; None: all of them.
+
+        Returns:
+            `[k·d, k·d]` for right perturbations `P exp(δ)`, δ = (translation, rotation), metres
+            and radians; blocks in the order of `poses`.
+
+        Raises:
+            InputError: for a robot or a pose that is not there, a pose given twice.
+        """
+        if not 0 <= robot < len(self.maps):
+            raise InputError(f"robot: {robot} given, expected 0 … {len(self.maps) - 1}")
+        count = self.maps[robot].num_poses
+        wanted = np.arange(count) if poses is None else np.asarray(poses)
+        outside = wanted[(wanted < 0) | (wanted >= count)]
+        if outside.size:
+            raise InputError(f"poses: {outside[0]} given, expected 0 … {count - 1}")
+        covariance, first = self._covariance_of[robot]
+        return covariance.joint(first + wanted)
+
+    @property
+    def _space(self) -> int:
+        return 2 if self.graph.tangent_dim == 3 else 3
+
+    @functools.cached_property
+    def _covariance_of(self) -> dict[int, tuple[MapCovariance, int]]:
+        """The covariance of each robot's group, and where the robot's own poses begin in it."""
+        graph, found = self.graph, {}
+        here = lie.identity(graph.group, (len(graph.maps),))
+        every = np.ones(len(graph.closures), bool)
+        for members in self.groups:
+            used = closures_within(members, graph.closures, every)
+            joint = MapCovariance(joint_graph(graph, members, used, here))
+            sizes = [graph.maps[robot].num_poses for robot in members]
+            firsts = (np.cumsum(sizes) - sizes).tolist()
+            found |= {robot: (joint, at) for robot, at in zip(members, firsts, strict=True)}
+        return found
 
     def report(self) -> dict[str, Any]:
         """Returns the result as plain data (numbers, strings, lists, dicts), as in `report.json`.
@@ -244,19 +306,21 @@ def _pose_fields(pose: Any) -> dict[str, float]:
 
 
 @on_host
-def _anchor_covariance(result: MergeResult) -> np.ndarray:
-    """`T = P X⁻¹` with X held: a perturbation of P on the right is `Ad(X) δ` of T's."""
-    graph = result.graph
-    covariance = np.zeros((len(graph.maps), graph.tangent_dim, graph.tangent_dim))
-    here = lie.identity(graph.group, (len(graph.maps),))
-    for members in result.groups:
-        every = np.ones(len(graph.closures), bool)
-        used = closures_within(members, graph.closures, every)
-        joint = MapCovariance(joint_graph(graph, members, used, here))
-        sizes = [graph.maps[robot].num_poses for robot in members]
-        firsts = joint.diagonal(np.cumsum(sizes) - sizes)
-        for robot, own in zip(members, firsts, strict=True):
-            first = lie.take(lie.as_numpy(result.maps[robot].poses), 0)
-            transport = np.asarray(lie.adjoint(first))
-            covariance[robot] = transport @ own @ transport.T
-    return covariance
+def _anchor_covariance(result: MergeResult, about: Float[np.ndarray, "robots s"]) -> np.ndarray:
+    """The covariance of T t(m): `T = P X⁻¹` with X held, so δ of P is `Ad(t(m)⁻¹ X) δ` of that.
+
+    Straight from the first pose P, lest the difference of large numbers be taken.
+    """
+    covariance = []
+    for robot, middle in enumerate(about):
+        joint, first = result._covariance_of[robot]
+        own = joint.diagonal(np.array([first]))[0]
+        values = np.array(lie.parameters(lie.take(lie.as_numpy(result.maps[robot].poses), 0)))
+        values[-len(middle) :] -= middle
+        transport = np.asarray(lie.adjoint(result.graph.group(values)))
+        covariance.append(transport @ own @ transport.T)
+    return np.stack(covariance)
+
+
+def _middle(own: PoseGraph) -> Float[np.ndarray, " s"]:
+    return lie.translation(lie.as_numpy(own.poses)).mean(axis=0)

@@ -21,7 +21,7 @@ from pcm_jax.consistency.stacked import drops, stack_closures
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 
-WORLDS = 120
+WORLDS = 80
 
 
 def renumbered(graph, first):
