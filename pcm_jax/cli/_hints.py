@@ -20,7 +20,6 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 
 TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
-NOTHING = 1e-6  # likewise: no noise at all, whatever it was stated to be
 AS_STATED = 1.5  # times 1, up or down: a fit that noise as stated gives
 LARGEST = 100_000  # poses: larger maps are not solved for a hint
 
@@ -70,7 +69,7 @@ def square_root(
         return None
     progress("weighing the maps' own loops")
     stated = _quietly(lambda: fit_of(_own(graph, clean)))
-    if stated is None or not NOTHING < stated.chi2 < TOO_GOOD:
+    if stated is None or stated.chi2 >= TOO_GOOD:
         return None
     progress("trying another reading")
     other = copy.copy(options)

@@ -12,7 +12,7 @@ from pcm_jax.files import to_gtsam
 from pcm_jax.graph import PoseGraph, Priors, split
 from pcm_jax.graph.padded import pad_graph
 from pcm_jax.mapping import MapCovariance, optimize
-from pcm_jax.mapping.priors import freedom_added
+from pcm_jax.mapping.priors import freedom_added, placed
 
 
 def measured(graph, at, noise, seed=3, sigma=0.05):
@@ -119,10 +119,16 @@ def test_marginals_are_gtsams_with_prior_factors(group, make_map):
 
 
 def test_positions_alone_place_a_map(group, make_map):
-    """Fixes without attitude turn and move the map; their own rotations play no part."""
+    """Fixes without attitude turn and move the map; their own rotations play no part.
+
+    The map is given nearly half a turn away: the whole is placed before the first step.
+    """
     truth = optimize(make_map(group, noise=0.01)).graph
     fixes = positions(truth, [0, 7, 15, 22, 29])
-    other = dataclasses.replace(moved(truth, 0.9), priors=fixes)
+    half = 3.0 / np.sqrt(1 if group is jaxlie.SE2 else 3)
+    other = dataclasses.replace(moved(truth, half), priors=fixes)
+    apart = lie.log(lie.between(truth.poses, placed(other.poses, fixes)))
+    assert np.abs(np.asarray(apart)).max() < 1e-4
     solution = optimize(other)
     assert solution.converged
     apart = lie.log(lie.between(truth.poses, solution.graph.poses))

@@ -108,6 +108,7 @@ def test_a_robot_without_priors_is_moved_to_the_others_frame(group):
     given = MultiRobotGraph((moved(given.maps[0], 1.1), given.maps[1]), given.closures)
     result = merge(given)
     assert result.accepted.sum() >= MOST and result.solution.converged
+    assert result.solution.initial_cost < 1e3 * result.solution.cost  # the start is in that frame
     assert farthest(result, truth) < LEVER * SIGMA
 
 
