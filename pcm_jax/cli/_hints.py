@@ -25,7 +25,7 @@ LARGEST = 100_000  # poses: larger maps are not solved for a hint
 
 
 class Fit(NamedTuple):
-    """How maps fit their own loops.
+    """The fit of maps to their own loops.
 
     Attributes:
         chi2: 2 cost over the degrees of freedom, all maps together, at their optima.
