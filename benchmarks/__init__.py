@@ -9,6 +9,7 @@ beyond it, is a command of its own.
     city_laws               Table I under other laws of the false closures
     sessions                Figs 6 and 7, Table II: two sessions of one robot in space
     place_recognition       real place recognition, and closures inside one robot's map
+    cosmo                   labelled multi-robot sets in JRL: PCM, GNC, everything
     covariances             the worth of the right covariance of the maps
     growth                  time and memory to 50,000 closures
     learning                a network trained through the check and the merge

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import write_candidates, write_g2o, write_trajectory
 from pcm_jax.files.output import check_target
 from pcm_jax.files.write import format_of_suffix, write_graph
-from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph
 
 
 def is_folder(output: str) -> bool:
@@ -76,10 +75,7 @@ def write_rejected(path: Path, result: Any) -> None:
 
 
 def part_of(graph: MultiRobotGraph, robots: Sequence[int]) -> MultiRobotGraph:
-    """The maps of some robots, in that order, and the closures among them.
-
-    Priors hold in their robot's own frame, and so only the first one's are kept.
-    """
+    """The maps of some robots, in that order, and the closures among them."""
     place = np.full(len(graph.maps), -1)
     place[list(robots)] = np.arange(len(robots))
     closures = graph.closures
@@ -88,10 +84,7 @@ def part_of(graph: MultiRobotGraph, robots: Sequence[int]) -> MultiRobotGraph:
     kept = closures[rows]
     ends = (a[rows], np.asarray(kept.pose_a), b[rows], np.asarray(kept.pose_b))
     return MultiRobotGraph(
-        tuple(
-            graph.maps[robot] if robot == robots[0] else _without_priors(graph.maps[robot])
-            for robot in robots
-        ),
+        tuple(graph.maps[robot] for robot in robots),
         LoopClosures.from_checked(
             ends,
             kept.measurement,
@@ -101,7 +94,3 @@ def part_of(graph: MultiRobotGraph, robots: Sequence[int]) -> MultiRobotGraph:
             kept.is_true,
         ),
     )
-
-
-def _without_priors(one: PoseGraph) -> PoseGraph:
-    return dataclasses.replace(one, priors=None)

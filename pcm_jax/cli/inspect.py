@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
+from pcm_jax.cli._hints import square_root
 from pcm_jax.cli._inputs import Given, read
 from pcm_jax.cli._outputs import json_text
 from pcm_jax.cli._progress import Progress
-from pcm_jax.cli.merge import TOO_GOOD
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.tables import columns_of_text
@@ -30,11 +30,13 @@ def run(options: Any) -> None:
         odd = [str(correction.message) for correction in corrections]
         odd += [*account.warnings(), *(line for line, severe in account.doubts if not severe)]
         odd += oddities(graph)
+        told = square_root(options, graph, progress)
+        odd += [] if told is None else [told]
     if options.json:
         print(json_text(_as_dict(given, odd)), end="")
         return
-    told = [line for file in account.files for line in file.lines()]
-    parts = ["\n".join(told), f"{graph.group.__name__} poses", robots(graph), closures(graph)]
+    read_as = [line for file in account.files for line in file.lines()]
+    parts = ["\n".join(read_as), f"{graph.group.__name__} poses", robots(graph), closures(graph)]
     if account.copies:
         parts.append("\n".join(["stated again, counted once:", *map(str, account.copies)]))
     parts.append("odd:" if odd else "nothing odd found")
@@ -123,7 +125,7 @@ def closures(graph: MultiRobotGraph) -> str:
 def oddities(graph: MultiRobotGraph) -> Iterator[str]:
     """Finds what a user should know before merging, one line each."""
     for one in graph.maps:
-        for odd in (*_odd_ids(one), *_odd_edges(one), *_odd_scale(one)):
+        for odd in (*_odd_ids(one), *_odd_edges(one)):
             yield f"robot {one.name}: {odd}"
     yield from (f"between robots: {odd}" for odd in _odd_closures(graph.closures))
 
@@ -159,37 +161,6 @@ def _odd_information(information: Any) -> Iterator[str]:
     singular = int((values[:, -1] > SINGULAR * values[:, 0]).sum())
     if singular:
         yield f"information matrices that are nearly singular: {singular}"
-
-
-def _odd_scale(one: PoseGraph) -> Iterator[str]:
-    """Edges that fit far better than their information says they should.
-
-    The file's own poses cost at least as much as the best ones, so no optimisation is needed.
-    """
-    freedom = (one.num_edges - one.num_poses + 1) * one.tangent_dim
-    tail, head = np.asarray(one.tail), np.asarray(one.head)
-    poses = lie.as_numpy(one.poses)
-    predicted = lie.between(lie.take(poses, tail), lie.take(poses, head))
-    residual = np.asarray(lie.log(lie.between(lie.as_numpy(one.measurement), predicted)))
-    information = np.asarray(one.information)
-    squared = float(np.einsum("ei,eij,ej->", residual, information, residual))
-    if (
-        freedom > 0
-        and 0.0 < squared < TOO_GOOD * freedom
-        and _square_fits_better(information, residual, squared, freedom)
-    ):
-        yield (
-            f"normalised chi2 is at most {squared / freedom:.2g}, where noise as stated gives 1;"
-            " is the information its square root (--information sqrt)?"
-        )
-
-
-def _square_fits_better(
-    information: np.ndarray, residual: np.ndarray, squared: float, freedom: int
-) -> bool:
-    """True if chi-squared would be nearer to one if the information were squared."""
-    weighed = np.einsum("eij,ej->ei", np.triu(information), residual)
-    return abs(np.log(np.sum(weighed**2) / freedom)) < abs(np.log(squared / freedom))
 
 
 def _odd_closures(between: LoopClosures) -> Iterator[str]:

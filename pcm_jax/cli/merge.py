@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import math
 import time
 import warnings
 from collections.abc import Iterator
@@ -11,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from pcm_jax.cli import _outputs as outputs
+from pcm_jax.cli._hints import square_root
 from pcm_jax.cli._progress import Progress
 from pcm_jax.errors import InputError
 from pcm_jax.tables import columns_of_text
 
 NOTHING = "Nothing to merge: no closure between robots is believed; the table says why."
-TOO_GOOD = 0.1  # normalised chi-squared below which the stated noise cannot be meant
-TOO_BAD = 10.0  # likewise, above
-KEPT = 0.9  # of the closures accepted: a better reading accepts at least as many
+TOO_BAD = 10.0  # normalised chi-squared above which the stated noise cannot be meant
 
 
 def run(options: Any) -> None:
@@ -90,57 +87,32 @@ def _merge(
 def _hints(options: Any, graph: Any, report: dict[str, Any], progress: Progress) -> Iterator[str]:
     """Options that mend a fit that cannot be meant: each is tried on the data before it is named.
 
-    The information's square root must fit better and accept about as many closures; cleaned maps
-    must fit ten times better.
+    The information's square root must fit as stated noise does (see `_hints`); cleaned maps must
+    fit ten times better.
     """
     chi2 = report["solution"]["normalized_chi2"]
-    if chi2 is None or chi2 <= 0.0:
-        return
-    if chi2 < TOO_GOOD and options.information == "as-written":
-        other = _tried(options, "sqrt", options.clean_maps, progress)
-        if other is not None and _fits_better(other, report) and _keeps(other, report):
-            yield (
-                "noise as stated gives 1: is the information its square root (--information sqrt)?"
-                f" That gives {other['solution']['normalized_chi2']:.3g}"
-            )
-    if chi2 > TOO_BAD and not options.clean_maps:
-        other = _tried(options, options.information, True, progress, graph)
-        found = None if other is None else other["solution"]["normalized_chi2"]
+    told = square_root(options, graph, progress, clean=options.clean_maps)
+    if told is not None:
+        yield told
+    if chi2 is not None and chi2 > TOO_BAD and not options.clean_maps:
+        found = _when_cleaned(options, graph, progress)
         if found is not None and found < 0.1 * chi2:
             yield (
-                "noise as stated gives 1: do the robots' own maps hold false loops (--clean-maps)?"
-                f" Without them it is {found:.3g}"
+                f"the normalised chi2 is {chi2:.3g}, where noise as stated gives 1: do the robots'"
+                f" own maps hold false loops (--clean-maps)? Without them it is {found:.3g}"
             )
 
 
-def _tried(
-    options: Any, information: str, clean: bool, progress: Progress, graph: Any = None
-) -> dict[str, Any] | None:
-    """The report of a merge with other options, None where that cannot be done."""
-    from pcm_jax.cli._inputs import graph_to_merge
-
-    progress("trying another reading")
-    other = copy.copy(options)
-    other.information = information
+def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:
+    """Chi-squared of a merge of cleaned maps, None where that cannot be done."""
+    progress("trying cleaned maps")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            given = graph_to_merge(other).graph if graph is None else graph
-            result, _, _ = _merge(given, other, clean, progress)
+            result, _, _ = _merge(graph, options, True, progress)
         except InputError:
             return None
-    return result.report()
-
-
-def _fits_better(other: dict[str, Any], report: dict[str, Any]) -> bool:
-    """True if chi-squared is nearer to what noise as stated gives, as a factor."""
-    old, new = (one["solution"]["normalized_chi2"] for one in (report, other))
-    return new is not None and new > 0.0 and abs(math.log(new)) < abs(math.log(old))
-
-
-def _keeps(other: dict[str, Any], report: dict[str, Any]) -> bool:
-    old, new = (sum(c["accepted"] for c in one["closures"]) for one in (report, other))
-    return new >= KEPT * old
+    return result.report()["solution"]["normalized_chi2"]
 
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:

@@ -31,9 +31,15 @@ def pad_graph(graph: MultiRobotGraph, *, poses: int, edges: int, closures: int) 
         closures: at least m.
 
     Raises:
-        InputError: for more poses, edges or closures than there shall be.
+        InputError: for more poses, edges or closures than there shall be, and for a map with
+            priors, which the padded arrays do not hold.
     """
     for robot, one in enumerate(graph.maps):
+        if one.priors is not None:
+            raise InputError(
+                f"priors: robot {robot} has {len(one.priors)}, which padded maps do not hold;"
+                " expected none (PoseGraph.without_priors)"
+            )
         _require(one.num_poses, poses, f"poses: robot {robot}")
         _require(one.num_edges, edges, f"edges: robot {robot}")
     _require(len(graph.closures), closures, "closures: the graph")

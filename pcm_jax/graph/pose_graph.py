@@ -102,6 +102,10 @@ class PoseGraph:
         """Puts the same graph at other poses; ids, name and sources are kept."""
         return dataclasses.replace(self, poses=poses)
 
+    def without_priors(self) -> PoseGraph:
+        """Leaves out the poses measured by themselves."""
+        return dataclasses.replace(self, priors=None)
+
     def with_edges(self, edges: Any) -> PoseGraph:
         """Keeps some of the edges, by a mask `[e]` or indices; poses, ids and name are kept."""
         rows = np.asarray(edges)

@@ -14,6 +14,7 @@ from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
+from pcm_jax.graph.priors import Priors
 from pcm_jax.graph.spanning_tree import check_connected
 
 
@@ -24,8 +25,8 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
 
     Edges inside a piece stay in its map; edges between pieces become loop closures, in the graph's
     order and orientation, each once however often the graph states it; edges between the two poses
-    next to a cut (the odometry) are dropped. Poses, ids and sources are kept; the pieces' poses
-    remain in the graph's frame.
+    next to a cut (the odometry) are dropped. Poses, ids, sources, times and priors are kept; the
+    pieces' poses remain in the graph's frame.
 
     Args:
         pose_graph: the graph.
@@ -77,7 +78,17 @@ def _piece(pose_graph: PoseGraph, robot: int, first: int, last: int) -> PoseGrap
         ids=ids,
         name="",
         source=pose_graph.source[inside],
+        stamps=None if pose_graph.stamps is None else pose_graph.stamps[first:last],
+        priors=_priors_within(pose_graph, first, last),
     )
+
+
+def _priors_within(pose_graph: PoseGraph, first: int, last: int) -> Priors | None:
+    priors = pose_graph.priors
+    if priors is None:
+        return None
+    rows = np.flatnonzero((priors.pose >= first) & (priors.pose < last))
+    return priors[rows].shifted(-first) if len(rows) else None
 
 
 def _checked_cuts(at: Any, n: int) -> np.ndarray:

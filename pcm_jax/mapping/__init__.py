@@ -8,6 +8,7 @@ Data walks through this folder once:
     _normal_equations   the linear system of a step, as lineax operator and solvers
     _gauss_newton       the optimistix solver that steps on the manifold
     least_squares       padding and one compiled call around all of these
+    priors              measurements of single poses: where they put a map, what they leave free
     optimization        `optimize`, what users call
     covariance          `MapCovariance` of the poses at the optimum
     implicit            the optimum as a differentiable function of its data

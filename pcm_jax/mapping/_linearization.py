@@ -183,6 +183,10 @@ def retract(poses: Any, step: Float[Array, "n d"]) -> Any:
 
 
 def whitening_of(information: Float[np.ndarray, "e d d"]) -> Float[np.ndarray, "d d e"]:
-    """Lᵀ with Ω = L Lᵀ, on the host."""
-    lower = np.linalg.cholesky(information)
+    """Lᵀ with Ω = L Lᵀ, on the host; Ω may lack directions, as that of a position's prior does."""
+    try:
+        lower = np.linalg.cholesky(information)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(information)
+        lower = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     return np.ascontiguousarray(np.moveaxis(lower, (0, 1, 2), (2, 1, 0)))

@@ -7,7 +7,8 @@ closures touch is a block of `H⁻¹`, found from the sparse factor `H = L Lᵀ`
     Σ_left  = Wᵀ W,  W = L⁻¹ E Ad(X)ᵀ       left perturbations exp(ξ) X: ξ = Ad(X) δ
 
 with `E` the unit columns of the poses asked for: never the whole inverse, never pose pair by pose
-pair. Left perturbations are those of the map moved so that `origin` is at zero: far from it their
+pair. A map with priors has no pose held: their `JᵀJ` is in H, see `mapping.priors`. Left
+perturbations are those of the map moved so that `origin` is at zero: far from it their
 covariances cancel where they are subtracted. Runs on the host.
 """
 
@@ -26,8 +27,9 @@ from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import apart, edge_products, linearize
-from pcm_jax.mapping.least_squares import padded_edges, padded_size
+from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, with_frame
 from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.mapping.priors import held, priors_of
 from pcm_jax.sparse.cholesky import CholeskyFactor, NotPositiveDefiniteError
 from pcm_jax.sparse.inverse import inverse_block, inverse_columns, inverse_diagonal
 from pcm_jax.sparse.system import system_for
@@ -41,7 +43,8 @@ class MapCovariance:
     """The covariance of a map's poses at the graph's own poses, which should be the optimum.
 
     The map is factorised when it is first asked, and never again, whichever thread asks. The first
-    pose is held: certain, and tied to none.
+    pose is held: certain, and tied to none. In a map with priors it is as uncertain as they leave
+    it, and in directions that they leave free it is held.
 
         covariance = pcm_jax.MapCovariance(pcm_jax.optimize(pose_graph).graph)
         covariance.joint([3, 17])  # [2 d, 2 d]
@@ -68,6 +71,7 @@ class MapCovariance:
             )
         self._lock = threading.Lock()
         self._factor: CholeskyFactor | None = None
+        self._held = 0 if priors_of(pose_graph) is None else pose_graph.num_poses
 
     def __reduce__(self) -> Any:
         return functools.partial(MapCovariance, origin=self.origin), (self.pose_graph,)
@@ -100,13 +104,14 @@ class MapCovariance:
                 `frame`; both are (translation, rotation), metres and radians.
 
         Returns:
-            `[k·d, k·d]`, blocks in the order of `poses`; zero where the first pose is concerned.
+            `[k·d, k·d]`, blocks in the order of `poses`; zero where the first pose is concerned,
+            if it is held.
 
         Raises:
             InputError: for an index out of range or given twice, another `side`, a singular map.
         """
         wanted, d = self._checked(poses, side), self.pose_graph.tangent_dim
-        free = np.flatnonzero(wanted)
+        free = np.flatnonzero(wanted != self._held)
         covariance = np.zeros((len(wanted), d, len(wanted), d))
         if len(free):
             found = inverse_block(self.factor(), wanted[free], self._right(wanted[free], side))
@@ -121,7 +126,7 @@ class MapCovariance:
         """Each pose's own covariance; None: all poses, in their order. See `joint`."""
         everyone = np.arange(self.pose_graph.num_poses)
         wanted, d = self._checked(everyone if poses is None else poses, side), self._dim
-        free = np.flatnonzero(wanted)
+        free = np.flatnonzero(wanted != self._held)
         covariance = np.zeros((len(wanted), d, d))
         if len(free):
             right = self._right(wanted[free], side)
@@ -144,7 +149,7 @@ class MapCovariance:
         wanted = self._checked(poses, side)
         right = self._right(wanted, side)
         right = np.eye(self._dim) + np.zeros((len(wanted), 1, 1)) if right is None else right
-        right = right * (wanted != 0)[:, None, None]
+        right = right * (wanted != self._held)[:, None, None]
         factor = self.factor()
         solution = inverse_columns(factor, wanted, right)
         return CovarianceColumns(self.adjoint, factor.plan.position, solution)
@@ -235,15 +240,20 @@ def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
 def covariance_factor(graph: PoseGraph) -> CholeskyFactor:
     """The factor of H, whose inverse is the covariance of all poses but the first.
 
-    The first pose, which is held, has an identity block and is tied to none.
+    The first pose, which is held, has an identity block and is tied to none. With priors that is a
+    last pose, their frame.
 
     Raises:
         InputError: for a singular map.
     """
-    tail, head, measurement, information = host_arrays(graph)
-    fixed = np.arange(graph.num_poses) == 0
-    products = _edge_information(graph.poses, tail, head, measurement, information)
-    system = system_for(graph.num_poses, tail, head, fixed, graph.tangent_dim)
+    priors = held(graph)
+    first = (np.arange(graph.num_poses) == 0) & (priors is None)
+    problem = Framed(*host_arrays(graph), first)
+    problem = problem if priors is None else problem.with_priors(priors)
+    *edges, fixed = problem
+    poses = with_frame(graph.poses, len(fixed))
+    products = _edge_information(poses, *edges)
+    system = system_for(len(fixed), problem.tail, problem.head, fixed, graph.tangent_dim)
     try:
         return system.factorize(products)
     except NotPositiveDefiniteError as error:

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, on_host
 from pcm_jax.errors import InputError
+from pcm_jax.graph.priors import Priors
 from pcm_jax.mapping._linearization import Edges, whitening_of
 from pcm_jax.sparse import registry
 
@@ -44,11 +45,48 @@ def padded_poses(poses: int, edges: int) -> int:
     return min(padded_size(poses, edges), padded_size(poses, FINE_ABOVE))
 
 
+class Framed(NamedTuple):
+    """The measurements of a problem and the poses that stay.
+
+    Attributes:
+        tail, head: `[e]`.
+        measurement: Lie `[e]`, NumPy.
+        information: `[e, d, d]`.
+        fixed: bool `[n]`.
+    """
+
+    tail: Int[np.ndarray, " e"]
+    head: Int[np.ndarray, " e"]
+    measurement: Any
+    information: Float[np.ndarray, "e d d"]
+    fixed: Bool[np.ndarray, " n"]
+
+    def with_priors(self, priors: Priors) -> Framed:
+        """Adds a last pose, the frame, which stays, and an edge from it for every prior."""
+        frame = np.full(len(priors), len(self.fixed))
+        measurements = [lie.as_numpy(self.measurement), lie.as_numpy(priors.measurement)]
+        return Framed(
+            np.concatenate([self.tail, frame]),
+            np.concatenate([self.head, priors.pose]),
+            lie.concatenate(measurements),
+            np.concatenate([np.asarray(self.information), priors.information]),
+            np.append(self.fixed, True),
+        )
+
+
+def with_frame(poses: Any, size: int) -> Any:
+    """The poses, Lie `[size]`, NumPy: with the identity at their end where one is missing."""
+    given = lie.as_numpy(poses)
+    if len(lie.parameters(given)) == size:
+        return given
+    return lie.concatenate([given, lie.identity(lie.group_of(given), (1,))])
+
+
 class Solved(NamedTuple):
     """The result of `PoseProblem.solve`, on the host.
 
     Attributes:
-        poses: Lie `[n]`, NumPy.
+        poses: Lie `[n]`, NumPy; of the problem's own poses, without the frame's.
         initial_cost, cost: 0.5 Σ rᵀΩr before and after.
         iterations: accepted steps.
         converged: whether a tolerance was met.
@@ -83,7 +121,9 @@ class PoseProblem:
         tail, head: `[e]`.
         measurement: Lie `[e]`.
         information: `[e, d, d]`, of the right perturbation of the measurement.
-        fixed: `[n]` poses that stay; at least one in every connected part.
+        fixed: `[n]` poses that stay; at least one in every connected part, if there are no priors.
+        priors: measurements of single poses, `r = Log(z⁻¹ X)`: edges from the frame itself, which
+            is a pose at the identity that stays.
     """
 
     def __init__(
@@ -93,8 +133,14 @@ class PoseProblem:
         measurement: Any,
         information: Float[np.ndarray, "e d d"],
         fixed: Bool[np.ndarray, " n"],
+        *,
+        priors: Priors | None = None,
     ):
-        tail, head, held = np.asarray(tail), np.asarray(head), np.asarray(fixed)
+        given = Framed(np.asarray(tail), np.asarray(head), measurement, information, fixed)
+        self._given = len(given.tail), len(given.fixed)
+        if priors is not None:
+            given = given.with_priors(priors)
+        tail, head, measurement, information, held = given
         self._poses, self._edges = len(held), len(tail)
         size = padded_size(self._poses, self._edges)
         self._size = padded_poses(self._poses, self._edges)
@@ -135,12 +181,12 @@ class PoseProblem:
             np.asarray(max_steps),
         )
         problem = Problem(self._scaled(scale), *arrays)
-        start = lie.pad_leading(lie.as_numpy(poses), self._size)
+        start = lie.pad_leading(with_frame(poses, self._poses), self._size)
         run = _compiled(solver, engine, rtol, atol)
         final, initial_cost, cost, steps, converged = jax.device_get(run(start, problem))
         registry.spare.free()
         return Solved(
-            lie.take(lie.as_numpy(final), slice(0, self._poses)),
+            lie.take(lie.as_numpy(final), slice(0, self._given[1])),
             float(initial_cost),
             float(cost),
             int(steps),
@@ -151,7 +197,7 @@ class PoseProblem:
         if scale is None:
             return self._padded
         whitening: Any = np.array(self._padded.whitening)
-        whitening[..., : self._edges] *= scale
+        whitening[..., : self._given[0]] *= scale
         return dataclasses.replace(self._padded, whitening=whitening)
 
 

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from typing import Any
 
 import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
 from pcm_jax.mapping.initialization import chordal_poses
-from pcm_jax.mapping.least_squares import MAX_STEPS, SOLVERS, PoseProblem, check_names
+from pcm_jax.mapping.least_squares import MAX_STEPS, SOLVERS, PoseProblem, Solved, check_names
+from pcm_jax.mapping.priors import held, placed, position_only, priors_of, turned
 
 INITIAL = ("chordal", "spanning-tree", "given")
+TURNS = 4  # solves, at most, between which positions' priors are turned to the poses
+TURNED = 1e-4  # radians
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -24,7 +28,7 @@ class Solution:
 
     Attributes:
         graph: the graph at the optimum; ids and name as given.
-        cost: 0.5 Σ rᵀΩr with r = Log(z⁻¹ X_i⁻¹ X_j).
+        cost: 0.5 Σ rᵀΩr with r = Log(z⁻¹ X_i⁻¹ X_j), and of priors Log(z⁻¹ X).
         initial_cost: the same at the start.
         iterations: steps taken.
         converged: whether a tolerance was met; False also where the steps diverged.
@@ -57,6 +61,9 @@ def optimize(
 ) -> Solution:
     """Finds the poses of least cost 0.5 Σ rᵀΩr, r = Log(z⁻¹ X_i⁻¹ X_j), the first pose held.
 
+    A map with priors is put where they say, r = Log(z⁻¹ X): no pose is held, but for directions of
+    the whole map that the priors leave free, in which the first pose stays (see `mapping.priors`).
+
     Args:
         pose_graph: a connected map.
         initial: where to start: "chordal" (relaxed rotations), "spanning-tree" (measurements
@@ -73,20 +80,70 @@ def optimize(
         InputError: for an unknown name, an engine that is not installed, or `solver` and `method`
             both given.
 
+    Warns:
+        InputWarning: for priors that leave a motion of the whole map free.
+
         solution = pcm_jax.optimize(graph.maps[0])
         solution.converged, solution.cost
     """
     solver = _solver(solver, method)
     check_names(solver, engine)
-    arrays = host_arrays(pose_graph)
-    first = np.arange(pose_graph.num_poses) == 0
-    start = _initial_poses(pose_graph, arrays, initial)
+    start = _initial_poses(pose_graph, host_arrays(pose_graph), initial)
+    options = {"solver": solver, "engine": engine, "max_steps": max_steps}
+    if priors_of(pose_graph) is not None:
+        return _among_priors(pose_graph, start, initial == "given", options)
     if pose_graph.num_edges == 0:
         return Solution(pose_graph, 0.0, 0.0, 0, True)
-    problem = PoseProblem(*arrays, first)
-    solved = problem.solve(start, solver=solver, engine=engine, max_steps=max_steps)
-    graph = pose_graph.with_poses(solved.poses)
-    return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
+    return _solution(pose_graph, problem_of(pose_graph).solve(start, **options))
+
+
+def problem_of(pose_graph: PoseGraph) -> PoseProblem:
+    """The least-squares problem of a graph: its first pose held, or its priors at its own poses."""
+    priors = held(pose_graph)
+    first = (np.arange(pose_graph.num_poses) == 0) & (priors is None)
+    return PoseProblem(*host_arrays(pose_graph), first, priors=priors)
+
+
+def _solution(graph: PoseGraph, solved: Solved) -> Solution:
+    numbers = solved.cost, solved.initial_cost, solved.iterations, solved.converged
+    return Solution(graph.with_poses(solved.poses), *numbers)
+
+
+def _among_priors(
+    pose_graph: PoseGraph, start: Any, stays: bool, options: dict[str, Any]
+) -> Solution:
+    """Solves a map with priors; again, while that turns poses whose positions alone are known."""
+    priors: Any = pose_graph.priors
+    poses = start if stays else placed(start, priors)
+    _tell_free(pose_graph.with_poses(poses))
+    initial_cost, iterations = None, 0
+    for turn in range(1, TURNS + 1):
+        here = turned(priors, poses)
+        graph = dataclasses.replace(pose_graph, poses=poses, priors=here)
+        found = _solution(graph, problem_of(graph).solve(poses, **options))
+        initial_cost = found.initial_cost if initial_cost is None else initial_cost
+        iterations += found.iterations
+        again = turned(priors, found.graph.poses)
+        moved = lie.log(lie.between(again.measurement, here.measurement))
+        settled = np.abs(np.asarray(moved)).max() <= TURNED
+        if settled or turn == TURNS or not found.converged or not position_only(priors).any():
+            break
+        poses = found.graph.poses
+    return dataclasses.replace(found, initial_cost=initial_cost, iterations=iterations)
+
+
+def _tell_free(graph: PoseGraph) -> None:
+    priors, kept = priors_of(graph), held(graph)
+    if priors is not None and kept is not None and len(kept) > len(priors):
+        free = np.linalg.matrix_rank(kept.information[-1], hermitian=True)
+        warnings.warn(
+            InputWarning(
+                f"map {graph.name!r}: its {len(priors)} priors leave {free} of"
+                f" {graph.tangent_dim} directions of the whole map free; in these its first pose"
+                " is held where the file has it"
+            ),
+            stacklevel=4,
+        )
 
 
 def _solver(solver: str | None, method: str | None) -> str:

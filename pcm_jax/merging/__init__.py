@@ -2,6 +2,7 @@
 
 groups           which robots the accepted closures connect
 _alignment       where each map lies in its group's frame, from the closures alone: a start
+frames           whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
 result           `MergeResult`: maps, anchors, groups; its report

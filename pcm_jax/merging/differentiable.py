@@ -109,10 +109,17 @@ def merge_differentiable(
         its loss is masked by `jnp.where`.
 
     Raises:
-        InputError: for an unknown solver, or another number of weights than closures.
+        InputError: for an unknown solver, another number of weights than closures, or a map with
+            priors, which have no derivative here (inside a transformation they are lost before).
     """
     if solver not in SOLVERS:
         raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
+    for own in graph.maps:
+        if own.priors is not None:
+            raise InputError(
+                f"priors: map {own.name!r} has {len(own.priors)}, which merge_differentiable does"
+                " not take; expected none (PoseGraph.without_priors)"
+            )
     count = len(graph.closures)
     if jnp.shape(weights) != (count,):
         raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")

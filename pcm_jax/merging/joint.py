@@ -4,6 +4,7 @@ Robot r's poses in the group's frame are `P = T_r X`. In terms of P the residual
 `Log( z⁻¹ (T_a X_i)⁻¹ (T_b Y_k) )` (Kim et al. 2010), joins two poses like any edge, and the edges
 inside a map do not see T_r at all. So the anchors are no unknowns: the merged graph is solved by
 the optimiser of single maps, with the group's first pose held, and `T_r = P_r0 X_r0⁻¹` afterwards.
+Where maps of the group have priors, these are the gauge instead, and no pose is held.
 """
 
 from __future__ import annotations
@@ -19,10 +20,9 @@ from jaxtyping import Bool, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning
-from pcm_jax.graph import MultiRobotGraph, PoseGraph
+from pcm_jax.graph import MultiRobotGraph, PoseGraph, Priors
 from pcm_jax.mapping import Solution, optimize
-from pcm_jax.mapping.least_squares import PoseProblem
-from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.mapping.optimization import problem_of
 
 PATIENCE = 15
 """Evaluations of each attempt by Gauss-Newton: consistent closures need fewer than ten."""
@@ -42,7 +42,8 @@ def joint_graph(
         anchors: Lie `[robots]`, where each map is put to start with.
 
     Returns:
-        The robots' poses one robot after the other; their edges, then the closures.
+        The robots' poses one robot after the other; their edges, then the closures; the priors of
+        all of them, as they are: in the frame of the whole.
     """
     maps = [graph.maps[robot] for robot in members]
     sizes = [one.num_poses for one in maps]
@@ -57,6 +58,11 @@ def joint_graph(
     ]
     placed = [(one, offset[robot]) for robot, one in zip(members, maps, strict=True)]
     edges = [one.measurement for one in maps] + [used.measurement]
+    priors = [
+        one.priors.shifted(int(start))
+        for one, start in placed
+        if one.priors is not None and len(one.priors)
+    ]
     return PoseGraph.from_checked(
         poses=lie.concatenate(poses),
         tail=np.concatenate([*(np.asarray(m.tail) + start for m, start in placed), ends_a]),
@@ -66,6 +72,7 @@ def joint_graph(
         ids=np.arange(sum(sizes)),
         name=" + ".join(one.name for one in maps),
         source=np.concatenate([m.source for m in [*maps, used]]),
+        priors=Priors.concatenate(priors) if priors else None,
     )
 
 
@@ -126,8 +133,7 @@ def _solve_in(
     """Solves `joint`, the kept edges of `roomy`, from its own poses by the plan of all edges."""
     if kept.all():
         return optimize(joint, initial="given", **options)
-    problem = PoseProblem(*host_arrays(roomy), np.arange(roomy.num_poses) == 0)
-    solved = problem.solve(roomy.poses, scale=kept.astype(float), **options)
+    solved = problem_of(roomy).solve(roomy.poses, scale=kept.astype(float), **options)
     graph = joint.with_poses(solved.poses)
     return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
 

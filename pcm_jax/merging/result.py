@@ -49,11 +49,13 @@ class MergeResult:
 
     Attributes:
         graph: the maps at their merged poses, each in its group's frame, which is that of the
-            group's first robot; the accepted closures and no other.
+            group's first robot, or of its priors where maps have any; the accepted closures and
+            no other, the priors that were used and no other.
         candidates: all closures, in the given order.
         accepted: bool `[m]` over the candidates, those that were accepted and used.
         anchors: Lie `[robots]`, float64: the pose `T_r` of each map's own frame in its group's
-            frame, `P = T_r X` at the map's first pose; the identity for a robot by itself.
+            frame, `P = T_r X` at the map's first pose; the identity for a robot by itself, and
+            near it for one whose own priors are the group's.
         solution: costs and convergence.
         groups: tuples of robot indices; robots that no accepted closure connects are apart.
         selection: how the closures were chosen, with evidence and certificates; None if they were
@@ -105,8 +107,8 @@ class MergeResult:
     def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
         """The covariance of each `T_r` for `T_r exp(δ)`: how well its map is tied to its group.
 
-        Zero for the first robot of a group, whose frame is the group's. About the origin of the
-        robot's own frame: far from its map, a small turn there is a long way;
+        Zero for the first robot of a group, whose frame is the group's; with priors for none. About
+        the origin of the robot's own frame: far from its map, a small turn there is a long way;
         `anchor_covariance_at_middle` is about the map's middle.
         """
         return _anchor_covariance(self, np.zeros((len(self.maps), self._space)))

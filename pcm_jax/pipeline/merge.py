@@ -13,10 +13,12 @@ from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
 from pcm_jax.errors import InputError
-from pcm_jax.graph import LoopClosures, MultiRobotGraph
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution
+from pcm_jax.mapping.priors import freedom_added
 from pcm_jax.merging._alignment import aligned_anchors
 from pcm_jax.merging.compile_time import CompileClock
+from pcm_jax.merging.frames import in_frame_of_priors, of_one_frame, with_priors
 from pcm_jax.merging.groups import closures_within, robot_groups
 from pcm_jax.merging.joint import cut_apart, joint_graph, solve_joint
 from pcm_jax.merging.result import MergeResult, MergeSolution
@@ -55,6 +57,10 @@ def merge(
     **options: Any,
 ) -> MergeResult:
     """Merges the robots' maps by the closures that a method accepts.
+
+    Priors of the maps (`PoseGraph.priors`) enter their own optimum and the merged one, whose frame
+    is then theirs. Priors of several robots are used together where the accepted closures allow
+    that they are in one frame (see `merging.frames`); robust methods take that for granted.
 
         result = pcm_jax.merge(graph)
         result.accepted, result.anchors, result.groups
@@ -104,6 +110,8 @@ def merge(
 
     Warns:
         ConvergenceWarning: for a map, or a merged map, that did not converge.
+        InputWarning: for priors that are not in the frame of the group's first ones and are left
+            out, or that leave a motion of the whole map free.
     """
     check_graph(graph)
     given = graph.graph if isinstance(graph, Evidence) else graph
@@ -288,38 +296,56 @@ def _solve(
     groups = robot_groups(len(graph.maps), graph.closures, accepted)
     start = aligned_anchors(graph, accepted, groups)
     poses: list[Any] = [None] * len(graph.maps)
-    solutions, rows, columns = [], 0, 0
+    solutions, freedom = [], 0
     for members in groups:
         planned = closures_within(members, graph.closures, room)
-        joint = joint_graph(graph, members, planned, start)
-        solution = solve_joint(joint, accepted[planned], method=solver, engine=engine)
+
+        def joined(
+            graph: MultiRobotGraph, members: Any = members, planned: Any = planned
+        ) -> Solution:
+            joint = joint_graph(graph, members, planned, in_frame_of_priors(graph, members, start))
+            return solve_joint(joint, accepted[planned], method=solver, engine=engine)
+
+        graph = of_one_frame(graph, members, joined)
+        solution = joined(graph)
         solutions.append(solution)
-        rows += solution.graph.num_edges
-        columns += joint.num_poses - 1
+        freedom += _freedom(solution.graph)
         merged = lie.as_numpy(solution.graph.poses)
         if len(members) == 1:  # at its optimum already, and to stay as it is
             merged = lie.as_numpy(graph.maps[members[0]].poses)
         for robot, own in cut_apart(graph, members, merged):
             poses[robot] = own
     maps, anchors = _placed(graph, poses)
-    return _Solved(maps, anchors, _summary(graph, solutions, rows - columns), groups)
+    return _Solved(maps, anchors, _summary(solutions, freedom), groups)
+
+
+def _freedom(joint: PoseGraph) -> int:
+    """Degrees of freedom of a map's cost at its optimum."""
+    blocks = joint.num_edges - joint.num_poses + 1
+    return blocks * joint.tangent_dim + freedom_added(joint)
 
 
 def _regroup(graph: MultiRobotGraph, accepted: np.ndarray, robust: RobustSolution) -> _Solved:
     """Robots that only rejected closures connect get frames of their own again."""
     groups = robot_groups(len(graph.maps), graph.closures, accepted)
     poses: list[Any] = [lie.as_numpy(own.poses) for own in graph.maps]
+    here = lie.identity(graph.group, (len(graph.maps),))
+    freedom = int(accepted.sum()) * graph.tangent_dim
+    none = np.zeros(0, np.int64)
     for members in groups:
+        framed = bool(with_priors(graph, members))
+        for one in (graph.maps[robot] for robot in members):
+            freedom += (one.num_edges - one.num_poses) * graph.tangent_dim
+        freedom += graph.tangent_dim + freedom_added(joint_graph(graph, members, none, here))
         if len(members) == 1:
             continue
         own, moved = poses[members[0]], lie.as_numpy(robust.maps[members[0]].poses)
         back = lie.compose(lie.take(own, 0), lie.inverse(lie.take(moved, 0)))
+        back = lie.identity(graph.group) if framed else back
         for robot in members:
             poses[robot] = lie.compose(back, lie.as_numpy(robust.maps[robot].poses))
-    rows = sum(own.num_edges for own in graph.maps) + int(accepted.sum())
-    columns = sum(own.num_poses for own in graph.maps) - len(groups)
     maps, anchors = _placed(graph, poses)
-    return _Solved(maps, anchors, _summary(graph, [robust], rows - columns), groups)
+    return _Solved(maps, anchors, _summary([robust], freedom), groups)
 
 
 def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[tuple[Any, ...], Any]:
@@ -343,12 +369,9 @@ def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.nd
     return kept
 
 
-def _summary(
-    graph: MultiRobotGraph, solutions: Sequence[Solution | RobustSolution], blocks: int
-) -> MergeSolution:
-    """Sums over all groups; `blocks` are edges less free poses."""
+def _summary(solutions: Sequence[Solution | RobustSolution], freedom: int) -> MergeSolution:
+    """Sums over all groups."""
     cost = sum(solution.cost for solution in solutions)
-    freedom = blocks * graph.tangent_dim
     return MergeSolution(
         cost=cost,
         initial_cost=sum(solution.initial_cost for solution in solutions),

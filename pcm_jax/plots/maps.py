@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from string import ascii_lowercase
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from pcm_jax.plots import style
 from pcm_jax.plots.style import LineStyle, axes_or_new, legend_below
 
 Mask = Bool[np.ndarray, " m"]
+MOST_PANELS = 12
+"""Groups drawn; those with the most robots."""
 
 
 def plot_trajectories_with_closures(
@@ -53,34 +56,105 @@ def plot_trajectories_with_closures(
         InputError: masks of another length than the closures, or an axis that maps do not have.
     """
     ax = axes_or_new(ax)
+    kinds = {} if closures is None else closure_kinds(len(closures), accepted, is_true)
+    _draw(ax, maps, closures, kinds, names or _names(maps), projection, legend)
+    return ax
+
+
+def _draw(
+    ax: Any,
+    maps: Sequence[Any],
+    closures: Any,
+    kinds: Mapping[LineStyle, Mask],
+    names: Sequence[str],
+    projection: str = "xy",
+    legend: bool = True,
+) -> None:
+    """Trajectories, closures by kind, and the axes' labels."""
     places = [_projected(lie.translation(host_poses(poses)), projection) for poses in maps]
-    for k, (path, name) in enumerate(zip(places, names or _names(maps), strict=True)):
-        ax.plot(*path.T, label=f"robot {name}", **style.robot_style(k, len(places)))
-    if closures is not None:
-        for kind, rows in closure_kinds(len(closures), accepted, is_true).items():
-            _draw_closures(ax, places, closures, kind, rows)
+    for k, (path, name) in enumerate(zip(places, names, strict=True)):
+        alone = {"marker": "o"} if len(path) == 1 else {}
+        ax.plot(*path.T, label=f"robot {name}", **style.robot_style(k, len(places)), **alone)
+    for kind, rows in kinds.items():
+        _draw_closures(ax, places, closures, kind, rows)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel(f"{projection[0]} (m)")
     ax.set_ylabel(f"{projection[1]} (m)")
     if legend:
         legend_below(ax)
-    return ax
 
 
 def plot_merge(result: Any, ax: Any = None, *, is_true: Mask | None = None) -> Any:
-    """Draws the result of a merge: its maps in the common frame and what became of each closure.
+    """Draws the result of a merge: the maps of each group, and what became of each closure.
+
+    Robots that no accepted closure connects share no frame, and so each group has a panel of its
+    own, the largest first. A candidate between two groups is in none.
 
     Args:
-        result: a `MergeResult`: `.graph` (maps in a common frame), `.candidates` and `.accepted`.
-        ax: matplotlib axes to draw into; None makes a figure.
+        result: a `MergeResult`: `.graph`, `.candidates`, `.accepted` and `.groups`.
+        ax: matplotlib axes to draw into, the largest group alone; None makes a figure.
         is_true: which closures are true, where that is known.
+
+    Returns:
+        The axes of the largest group; `.figure.axes` has all of them.
     """
-    graph, accepted = result.graph, np.asarray(result.accepted, dtype=bool)
-    ax = plot_trajectories_with_closures(
-        graph.maps, result.candidates, accepted=accepted, is_true=is_true, ax=ax
+    accepted = np.asarray(result.accepted, dtype=bool)
+    title = f"{accepted.sum()} of {len(accepted)} closures accepted"
+    groups = getattr(result, "groups", None) or (tuple(range(len(result.graph.maps))),)
+    groups = sorted(groups, key=lambda group: (-len(group), group))
+    panels = [axes_or_new(ax)] if ax is not None or len(groups) == 1 else _grid(len(groups))
+    labels = None if is_true is None else as_mask(is_true, "is_true", len(accepted))
+    for panel, group in zip(panels, groups, strict=False):
+        _draw_group(panel, result, group, accepted, labels)
+    left_out = len(groups) - len(panels)
+    if left_out:
+        title += f"; {left_out} groups more, in frames of their own"
+    if len(panels) > 1:
+        panels[0].figure.suptitle(f"{title}: {len(groups)} groups, each in a frame of its own")
+    else:
+        panels[0].set_title(title)
+    return panels[0]
+
+
+def _draw_group(
+    ax: Any, result: Any, group: Sequence[int], accepted: Mask, is_true: Mask | None
+) -> None:
+    """One group's maps and the closures among them."""
+    maps, closures = result.graph.maps, result.candidates
+    place = np.full(len(maps), -1)
+    place[list(group)] = np.arange(len(group))
+    ends = place[np.asarray(closures.robot_a)], place[np.asarray(closures.robot_b)]
+    rows = np.flatnonzero((ends[0] >= 0) & (ends[1] >= 0))
+    own = SimpleNamespace(
+        robot_a=ends[0][rows],
+        robot_b=ends[1][rows],
+        pose_a=np.asarray(closures.pose_a)[rows],
+        pose_b=np.asarray(closures.pose_b)[rows],
     )
-    ax.set_title(f"{accepted.sum()} of {len(accepted)} closures accepted")
-    return ax
+    names = _names(maps)
+    _draw(
+        ax,
+        [maps[robot] for robot in group],
+        own,
+        closure_kinds(len(rows), accepted[rows], None if is_true is None else is_true[rows]),
+        [names[robot] for robot in group],
+    )
+    ax.set_title(" + ".join(names[robot] for robot in group))
+
+
+def _grid(count: int) -> list[Any]:
+    """As many panels as groups, up to `MOST_PANELS`, in rows of three."""
+    from matplotlib import pyplot
+
+    shown = min(count, MOST_PANELS)
+    columns = min(shown, 3)
+    rows = -(-shown // columns)
+    size = (5.2 * columns, 5.0 * rows + 0.4)
+    figure = pyplot.figure(figsize=size, dpi=style.DPI, layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for unused in panels[shown:]:
+        unused.remove()
+    return panels[:shown]
 
 
 def plot_comparison(

@@ -95,7 +95,8 @@ def select_within(
         cleaned.accepted, cleaned.graph
 
     Squared distances are measured in the map that odometry alone gives, with its covariance as the
-    edges state it: where that is too small, true closures after a long way fail.
+    edges state it: where that is too small, true closures after a long way fail. Priors of the map
+    are kept and play no part in this.
 
     Args:
         pose_graph: a chain of odometry, one edge from each pose to the next in either direction

@@ -74,17 +74,6 @@ def test_inspect_finds_what_is_odd(run, city, tmp_path):
         assert any(words in finding for finding in findings), (words, ran.out)
 
 
-def test_inspect_doubts_information_that_promises_too_little(city, tmp_path):
-    """At its optimum, a map whose noise is a hundredth of the stated variance costs too little."""
-    text = (city / "graph.g2o").read_text()
-    (tmp_path / "weak.g2o").write_text(text.replace("2500.0", "25.0").replace("10000.0", "100.0"))
-    for name, doubted in (("weak.g2o", True), ("graph.g2o", False)):
-        given = read_graph((tmp_path if doubted else city) / name)
-        best = [pcm_jax.optimize(one).graph for one in given.maps]
-        odd = list(inspect.oddities(pcm_jax.MultiRobotGraph(tuple(best), given.closures)))
-        assert any("--information sqrt" in finding for finding in odd) is doubted
-
-
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True

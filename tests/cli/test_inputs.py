@@ -146,3 +146,18 @@ def test_bad_candidates_on_request(run, folder):
     assert told["robot_pairs"][0]["measured"] == 2
     assert any("1 bad candidates left out" in note for note in told["input"]["notes"])
     assert np.isclose(told["anchors"][1]["y"], 2.0)
+
+
+def test_priors_place_a_merge_unless_they_are_ignored(run, city, tmp_path):
+    """A fix of the first pose, 100 m away: the written map lies there, or where it was."""
+    key = next(line for line in (city / "graph.g2o").read_text().splitlines()).split()[1]
+    fixed = tmp_path / "fixed.g2o"
+    line = f"EDGE_PRIOR_SE2 {key} 100 50 0.3 2500 0 0 2500 0 10000\n"
+    fixed.write_text(line + (city / "graph.g2o").read_text())
+    for options, place in (((), [100.0, 50.0]), (("--ignore-priors",), [0.0, 0.0])):
+        ran = run("merge", fixed, "--output", tmp_path / "merged.g2o", *options)
+        assert ran.status == 0, ran.err
+        written = (tmp_path / "merged.g2o").read_text()
+        (first,) = (x for x in written.splitlines() if x.startswith(f"VERTEX_SE2 {key} "))
+        assert [float(word) for word in first.split()[2:4]] == pytest.approx(place, abs=0.1)
+        assert ("EDGE_PRIOR_SE2" in written) == (not options)

@@ -244,15 +244,6 @@ def _chains() -> str:
 CHAINS = _chains()
 
 
-def test_a_hint_at_square_roots(run, city, tmp_path):
-    """Information a hundred times too small, as iSAM's square roots taken as written are."""
-    text = (city / "graph.g2o").read_text()
-    weak = tmp_path / "weak.g2o"
-    weak.write_text(text.replace(" 2500.0", " 25.0").replace(" 10000.0", " 100.0"))
-    assert "--information sqrt" in run("merge", weak).out
-    assert "--information sqrt" not in run("merge", weak, "--information", "sqrt").out
-
-
 def test_corrections_are_warned_of_in_a_line(run, city, tmp_path):
     text = (city / "graph.g2o").read_text()
     marked = tmp_path / "marked.g2o"

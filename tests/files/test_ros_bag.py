@@ -11,13 +11,18 @@ from pcm_jax.files.formats.ros_bag import definitions
 rosbags = pytest.importorskip("rosbags")
 
 
+@pytest.fixture(params=["sqlite3", "mcap", "ros1"])
+def kind(request):
+    """How bags are stored: ROS 2's two ways, and ROS 1's."""
+    return request.param
+
+
 @pytest.fixture
-def save(tmp_path):
-    """Writes messages of one topic to a ROS 2 bag; gives its folder."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def save(kind, tmp_path):
+    """Writes messages of one topic to a bag; gives its folder, or its file."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
     package = "pose_graph_tools_msgs"
     for name, text in definitions(package).items():
         store.register(get_types_from_msg(text, name))
@@ -30,7 +35,8 @@ def save(tmp_path):
 
     def header(seconds=0):
         time = types["builtin_interfaces/msg/Time"](seconds, 500_000_000)
-        return types["std_msgs/msg/Header"](time, "world")
+        number = [0] if kind == "ros1" else []
+        return types["std_msgs/msg/Header"](*number, time, "world")
 
     def node(robot, key, x):
         return types[f"{package}/msg/PoseGraphNode"](header(key), robot, key, pose(x))
@@ -42,18 +48,31 @@ def save(tmp_path):
         return kinds(header(), i, k, a, b, kind, pose(x), covariance)
 
     def make(messages):
-        folder = tmp_path / "bag"
-        with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
-            kind = f"{package}/msg/PoseGraph"
-            connection = bag.add_connection("/graph", kind, typestore=store)
+        path, writer, serialize = opened(kind, tmp_path, store)
+        with writer as bag:
+            graph = f"{package}/msg/PoseGraph"
+            connection = bag.add_connection("/graph", graph, typestore=store)
             for k, (nodes, edges) in enumerate(messages):
-                message = types[kind](
+                message = types[graph](
                     header(), [node(*one) for one in nodes], [edge(*one) for one in edges]
                 )
-                bag.write(connection, k, store.serialize_cdr(message, kind))
-        return folder
+                bag.write(connection, k, serialize(message, graph))
+        return path
 
     return make
+
+
+def opened(kind, folder, store):
+    """A bag's path, its writer, and how messages become bytes."""
+    if kind == "ros1":
+        from rosbags.rosbag1 import Writer
+
+        return folder / "a.bag", Writer(folder / "a.bag"), store.serialize_ros1
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    plugin = StoragePlugin[kind.upper()]
+    writer = Writer(folder / "bag", version=9, storage_plugin=plugin)
+    return folder / "bag", writer, store.serialize_cdr
 
 
 NODES = [(robot, key, float(key)) for robot in (0, 2) for key in range(3)]
@@ -87,9 +106,20 @@ def test_a_bag_without_graphs(save):
         read_graph(save([]))
 
 
+def test_an_mcap_file_by_itself(save, kind):
+    """Recorders write one beside the folder's metadata, and people pass it on alone."""
+    if kind != "mcap":
+        pytest.skip("of mcap alone")
+    (file,) = save([(NODES, STEPS)]).glob("*.mcap")
+    assert read_graph(file).names == ("robot0", "robot2")
+
+
 def test_a_damaged_bag(save):
     path = save([(NODES, STEPS)])
-    (path / "metadata.yaml").write_text("nothing: [")
+    if path.is_dir():
+        (path / "metadata.yaml").write_text("nothing: [")
+    else:
+        path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(FileFormatError, match="cannot be read as a bag: ") as caught:
         read_graph(path)
     assert "\n" not in str(caught.value)

@@ -1,5 +1,6 @@
 """Plots: what is drawn and how it is labelled, not its pixels."""
 
+import dataclasses
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -144,6 +145,49 @@ def test_a_merge_says_how_much_it_accepted(city):
     assert plots.plot_merge(result, ax) is ax
     assert ax.get_title() == "6 of 23 closures accepted"
     assert "accepted, true (6)" in legend_of(plots.plot_merge(result, is_true=city.is_true))
+
+
+def apart(count):
+    """A merge of a + b, the others by themselves, with a candidate between b and the third."""
+    maps = [simulate_city(seed=seed, poses=40).graph.maps[0] for seed in range(count)]
+    maps = [dataclasses.replace(own, name="abcdefghijklmnopq"[k]) for k, own in enumerate(maps)]
+    closures = SimpleNamespace(
+        robot_a=np.array([0, 1]),
+        pose_a=np.array([3, 5]),
+        robot_b=np.array([1, 2]),
+        pose_b=np.array([4, 6]),
+    )
+    return SimpleNamespace(
+        graph=SimpleNamespace(maps=maps),
+        candidates=closures,
+        accepted=np.array([True, False]),
+        groups=((0, 1), *((k,) for k in range(2, count))),
+    )
+
+
+def test_groups_that_nothing_connects_have_panels_of_their_own():
+    """They share no frame; the candidate between them has no place in either."""
+    ax = plots.plot_merge(apart(3))
+    panels = ax.figure.axes
+    assert [panel.get_title() for panel in panels] == ["a + b", "c"]
+    assert ax is panels[0]
+    assert legend_of(panels[0]) == ["robot a", "robot b", "accepted (1)"]
+    assert legend_of(panels[1]) == ["robot c"]
+    assert "2 groups, each in a frame of its own" in ax.figure.get_suptitle()
+    assert "1 of 2 closures accepted" in ax.figure.get_suptitle()
+
+
+def test_axes_that_are_given_show_the_largest_group():
+    _, ax = pyplot.subplots()
+    assert plots.plot_merge(apart(3), ax) is ax
+    assert legend_of(ax) == ["robot a", "robot b", "accepted (1)"]
+    assert "1 groups more" in ax.get_title()
+
+
+def test_more_groups_than_panels_are_counted():
+    ax = plots.plot_merge(apart(15))
+    assert len(ax.figure.axes) == 12
+    assert "2 groups more" in ax.figure.get_suptitle()
 
 
 def test_a_comparison_lays_all_maps_over_the_first_at_one_scale(city):

@@ -4,6 +4,7 @@ _registry       `Format`, and which one a file is in
 _tags           the columns of lines that begin with a tag
 _tagged         the reader of such lines
 _priors         the reader of lines that measure one pose
+_annotations    scores in comments, times in folders beside the file
 g2o             pose graphs as g2o, and their writer
 toro, isam      the older text formats of pose graphs
 candidates      candidate closures as CSV

@@ -8,6 +8,7 @@ import numpy as np
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import coordinates
+from pcm_jax.files.formats._annotations import keyframe_stamps, scores
 from pcm_jax.files.formats._priors import OFFSETS, WIDTHS, read_priors
 from pcm_jax.files.formats._tags import COLUMNS, SILENT, TAGS, Tag, is_skipped
 from pcm_jax.files.pose_file import Lines, PoseFile, Reading, checked, in_order
@@ -51,6 +52,9 @@ def read_tagged(source: Source, reading: Reading) -> PoseFile:
     ]
     group = TAGS[next(iter(known))].group
     measured, clipped = checked(path, in_order(group, edges, 2), reading.repair)
+    weight = scores(path, lines, comments, measured.line)
+    if weight is not None:
+        measured = dataclasses.replace(measured, weight=weight)
     poses = in_order(group, vertices, 1)
     priors, unread = read_priors(rows, group, poses, reading)
     skipped = {tag: len(found) for tag, found in rows.items() if is_skipped(tag)}
@@ -69,6 +73,7 @@ def read_tagged(source: Source, reading: Reading) -> PoseFile:
         format=_format_of(known),
         left_out={tag: count for tag, count in left_out.items() if count},
         priors=in_order(group, priors, 1) if priors else None,
+        stamps=keyframe_stamps(path),
         how=f"{reading.information}{'; default sigmas' if bare else ''}",
     )
 

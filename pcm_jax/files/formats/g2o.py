@@ -256,5 +256,6 @@ G2O = register(
         suffixes=(".g2o",),
         information="kept",
         priors="kept",
+        stamps="hdl_graph_slam's",
     )
 )

@@ -25,6 +25,7 @@ from pcm_jax.files.scopes import Scope, made_scope
 from pcm_jax.graph import symbols
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
+from pcm_jax.graph.priors import Priors
 from pcm_jax.graph.validation import Fault, argument_fault, check_information, check_self_loops
 
 
@@ -42,14 +43,15 @@ def to_gtsam(graph: MultiRobotGraph | PoseGraph) -> tuple[Any, Any]:
     """A graph as GTSAM's `NonlinearFactorGraph` and `Values`.
 
     Keys are those that `write_g2o` writes: one robot's ids as they are, several robots' as symbols
-    that name the robot by letter. There is no prior: GTSAM's optimisers want one on some pose.
+    that name the robot by letter. There is no prior but the maps' own: GTSAM's optimisers want one
+    on some pose.
 
     Args:
         graph: SE(2) or SE(3).
 
     Returns:
         between factors, the maps' edges robot by robot and then the closures, with Gaussian noise
-        of their information; and the poses.
+        of their information; after each robot's edges its priors; and the poses.
 
     Raises:
         InputError: without GTSAM, for another group, and for ids that fit no key.
@@ -66,6 +68,8 @@ def to_gtsam(graph: MultiRobotGraph | PoseGraph) -> tuple[Any, Any]:
             values.insert(key, kind.pose(matrix))
         ends = ids[np.asarray(pose_graph.tail)], ids[np.asarray(pose_graph.head)]
         _add(factors, gtsam, kind, ends, pose_graph)
+        if pose_graph.priors is not None:
+            _add_priors(factors, gtsam, kind, ids, pose_graph.priors)
     _add(factors, gtsam, kind, closure_keys(graph, keys), graph.closures)
     return factors, values
 
@@ -171,6 +175,17 @@ def _add(factors: Any, gtsam: Any, kind: _Kind, keys: Sequence[np.ndarray], meas
     ):
         noise = gtsam.noiseModel.Gaussian.Information(weight)
         factors.add(kind.between(tail, head, kind.pose(matrix), noise))
+
+
+def _add_priors(factors: Any, gtsam: Any, kind: _Kind, ids: np.ndarray, priors: Priors) -> None:
+    """Prior factors, whose information may lack directions."""
+    order = np.array(kind.order)
+    values, vectors = np.linalg.eigh(priors.information[:, order[:, None], order])
+    roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * vectors.swapaxes(1, 2)
+    keys = ids[priors.pose].tolist()
+    for key, matrix, root in zip(keys, _matrices(priors.measurement), roots, strict=True):
+        noise = gtsam.noiseModel.Gaussian.SqrtInformation(root, False)
+        factors.add(kind.prior(key, kind.pose(matrix), noise))
 
 
 def _pose(values: Any, key: int, kind: _Kind) -> Any:

@@ -10,7 +10,8 @@ The robots that candidate closures connect are solved as one graph. In turn, unt
 
 Only numbers change from turn to turn: one sparsity pattern, one compilation. A closure is accepted
 if in the end w ≥ 1/4, that is s = √w ≥ 1/2. Unlike the methods that select beforehand, all of these
-need an initial guess of where the maps lie, and find the optimum next to it.
+need an initial guess of where the maps lie, and find the optimum next to it. Priors of the maps
+are taken to be in one frame: where a graph has any, maps start where they are.
 
 For DCS and switchable constraints the damping decides what becomes of a bad guess. Where every χ²
 is huge, all scales are nearly zero and the cost is flat: damped steps stay where they are and
@@ -31,8 +32,7 @@ from jaxtyping import Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.mapping.least_squares import PoseProblem
-from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.mapping.optimization import host_arrays, problem_of
 from pcm_jax.merging._alignment import aligned_anchors
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.merging.joint import cut_apart, joint_graph
@@ -189,8 +189,8 @@ def reweighted(
         reweighting: the method.
         solver, engine: see `optimize`.
     """
-    tail, head, measurement, information = arrays = host_arrays(joint)
-    problem = PoseProblem(*arrays, np.arange(joint.num_poses) == 0)
+    tail, head, measurement, information = host_arrays(joint)
+    problem = problem_of(joint)
     last = slice(joint.num_edges - closures, None)
     measured = tail[last], head[last], lie.take(measurement, last), information[last]
     poses, state, scale = lie.as_numpy(joint.poses), None, np.full(closures, np.inf)
@@ -244,6 +244,8 @@ def _start(
         return _checked_anchors(graph, anchors)
     if initial == "closures":
         return aligned_anchors(graph, np.ones(len(graph.closures), bool), groups)
+    if any(one.priors is not None for one in graph.maps):
+        return lie.identity(graph.group, (len(graph.maps),))
     first = [lie.take(lie.as_numpy(one.poses), 0) for one in graph.maps]
     leader = {robot: members[0] for members in groups for robot in members}
     coinciding = [
