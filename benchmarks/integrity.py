@@ -127,7 +127,7 @@ def cell_of(
 
 @on_host
 def decisions(graph: MultiRobotGraph) -> dict[str, tuple[np.ndarray, float]]:
-    """What each rule accepts, and the seconds that the last two take besides."""
+    """Decides by every rule: masks, and the seconds that the last two take besides."""
     evidence = weigh(graph)
     nothing = np.zeros(len(graph.closures), bool)
     by_number = select(evidence, minimum_inliers=2)

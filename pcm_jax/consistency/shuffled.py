@@ -226,7 +226,7 @@ def _full(order: np.ndarray, entries: Any) -> tuple[np.ndarray, ...]:
 
 
 def _rotation_axes(d: int) -> list[tuple[int, int]]:
-    """Where a packed covariance has the variances of the rotation, and their axes."""
+    """The rotation's variances in a packed covariance: (entry, axis)."""
     first = 2 if d == 3 else 3
     packed = unrolled.packed_indices(d)
     return [(entry, i) for entry, (i, j) in enumerate(packed) if i == j and i >= first]

@@ -1,4 +1,4 @@
-"""How far an answer is to be believed: what chance does, and what else explains the closures.
+"""Doubts: what chance does, what else explains the closures, and so what is believed.
 
 places   closures beside each other along both ways are one witness
 chance   how often closures of which none is right agree as well

@@ -57,7 +57,7 @@ SEARCH = 1.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ChanceLevel:
-    """How well a consistent set stands out from chance.
+    """The distance of a consistent set from what chance does.
 
     Attributes:
         places: of the set; what the shuffles were compared with.

@@ -42,7 +42,7 @@ REACH = 5.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Places:
-    """Where the k closures between two robots lie along the ways of both.
+    """The places of the k closures between two robots along the ways of both.
 
     Attributes:
         way_a: float64 [k], metres that robot a has gone when it comes to each closure's pose.

@@ -152,7 +152,7 @@ def _largest_among(
 
 
 def _about_as_good(places: Places, members: np.ndarray, rival: np.ndarray) -> bool:
-    """Whether a rival has places enough, or reaches so far, that the answer hangs on it."""
+    """True if a rival has places enough, or reaches so far, that the answer hangs on it."""
     if 2 * places.count(rival) > places.count(members):
         return True
     return places.reach(rival) > 2.0 * places.reach(members)

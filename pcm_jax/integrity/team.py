@@ -161,7 +161,7 @@ def judge_team(
 
 
 def _hangs_together(cycles: Sequence[Cycle], without: Pair) -> bool:
-    """Whether other cycles, or the rest of its own, still join the two robots."""
+    """True if other cycles, or the rest of its own, still join the two robots."""
     graph: nx.Graph[int] = nx.Graph([pair for cycle in cycles for pair in cycle.pairs])
     graph.remove_edge(*without)
     return nx.has_path(graph, *without)
@@ -188,7 +188,7 @@ def _closed(robots: tuple[int, ...], alignments: Mapping[Pair, JointConsistency]
 
 
 def _from_to(a: int, b: int, alignments: Mapping[Pair, JointConsistency]) -> tuple[Any, np.ndarray]:
-    """Where map b's frame lies in a's, with its covariance, errors on the right."""
+    """The place of map b's frame in a's with its covariance, errors on the right."""
     if a < b:
         found = alignments[a, b]
         return found.alignment, found.covariance

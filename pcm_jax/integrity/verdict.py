@@ -27,7 +27,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verdict:
-    """What is made of the set that a method found between two robots.
+    """The judgement on the set that a method found between two robots.
 
     Attributes:
         believed: whether it is accepted.

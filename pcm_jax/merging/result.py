@@ -199,6 +199,7 @@ class MergeResult:
                 for robot in range(len(graph.maps))
             ],
             "solution": solution,
+            "groups": [[graph.maps[robot].name for robot in group] for group in self.groups],
             "team": [
                 {
                     "cycle": [graph.maps[robot].name for robot in cycle.robots],
@@ -207,7 +208,6 @@ class MergeResult:
                 }
                 for cycle in (self.selection.team if self.selection else ())
             ],
-            "groups": [[graph.maps[robot].name for robot in group] for group in self.groups],
             "seconds": dict(self.seconds),
         }
 

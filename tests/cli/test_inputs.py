@@ -80,7 +80,7 @@ def test_covariances_on_request(run, folder):
 def test_a_cut_says_before_which_ids(run, folder):
     lines = [*chain(1), *chain(4), *(closure(k, k + 3) for k in (1, 2, 3))]
     path = folder("two.g2o", *lines)
-    ran = run("merge", path, "--split-id", 4, "--report", "r.json")
+    ran = run("merge", path, "--split-id", 4, "--minimum-inliers", 2, "--report", "r.json")
     assert ran.out.startswith("cut before the poses with ids 4\n")
     assert json.loads(Path("r.json").read_text())["robot_pairs"][0]["measured"] == 3
     ran = run("merge", path, "--split", 4)
@@ -140,6 +140,7 @@ def test_bad_candidates_on_request(run, folder):
         folder(f"{name}.g2o", *chain(0))
     folder("c.csv", "a,0,b,0,0,2,0", "a,9,b,0,0,2,0", "a,2,b,2,0,2,0")
     arguments = ["merge", "a.g2o", "b.g2o", "--closures", "c.csv", "--report", "r.json"]
+    arguments += ["--minimum-inliers", 2]
     assert run(*arguments).status == 2
     assert run(*arguments, "--skip-bad").status == 0
     told = json.loads(Path("r.json").read_text())
