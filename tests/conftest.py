@@ -3,7 +3,7 @@
 Most of the suite's time is compilation. So programs are compiled with little optimisation, unless
 `XLA_FLAGS` is set (`XLA_FLAGS= pytest` compiles as users do), and each one once: a folder for
 compiled programs, of this run alone, is shared by its processes. Both hold for processes that tests
-start as well, and for notebooks. What must see usual optimisation asks for it: `compiled_as_usual`.
+start as well, and for notebooks.
 """
 
 import atexit

@@ -166,7 +166,8 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
 
 def summary(report: dict[str, Any]) -> str:
     """A report as the text that `pcm-jax merge` prints."""
-    fit = "\n".join([_fit(report["solution"]), *report.get("hints", [])])
+    told = [*report.get("warnings", []), *report.get("hints", [])]
+    fit = "\n".join([_fit(report["solution"]), *told])
     parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
     if report.get("input", {}).get("cuts"):
         parts.insert(0, "\n".join(report["input"]["cuts"]))

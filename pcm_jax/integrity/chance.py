@@ -46,8 +46,10 @@ ENOUGH = 5
 """Shuffles that reached as many places: there is nothing more to learn."""
 SHOWN = 19
 """Shuffles of which the places of the largest set are kept."""
-MOST = 500
-"""Closures that are shuffled; of more, as many are taken as lie apart from each other."""
+MOST = 1500
+"""Closures that are shuffled: about what `weigh` keeps distances of. Of more, so many drawn at random,
+one a place as far as that goes, are shuffled and tested: a set of less than a two-hundredth of
+them, of which only a few are drawn, is then not told from chance."""
 MOST_SHUFFLES = 100_000
 ABOUT = 1.5
 """Times the total squared distance: a set that agrees about as well."""
@@ -65,7 +67,7 @@ class ChanceLevel:
         least_p_value: what `p_value` could have been at best, with so many closures and places.
         shuffles: how many were made.
         null: int64 [≤ 19], places of the largest consistent set of each of the first shuffles.
-        closures: how many took part: all, or of more than 500 some that lie apart.
+        closures: how many took part: all, or of more than 1,500 some that lie apart.
     """
 
     places: int
@@ -166,7 +168,7 @@ def _taking_part(
     if count <= MOST:
         return np.arange(count)
     order = generator.permutation(count)
-    taken = places.spread_out(order)
+    taken = places.spread_out(order, MOST)
     rest = np.setdiff1d(order, taken, assume_unique=True)
     return np.sort(np.concatenate([taken, rest])[:MOST])
 

@@ -67,10 +67,19 @@ class Places:
         far = (np.abs(way[some, None] - way[some]) for way in (self.way_a, self.way_b))
         return np.maximum(*far) > self.separation
 
-    def spread_out(self, order: Int[np.ndarray, " c"]) -> Int[np.ndarray, " p"]:
-        """Takes closures one after another, each that is apart from all those taken before."""
+    def spread_out(
+        self, order: Int[np.ndarray, " c"], most: float = np.inf
+    ) -> Int[np.ndarray, " p"]:
+        """Takes closures one after another, each that is apart from all those taken before.
+
+        Args:
+            order: in which they are looked at.
+            most: with so many it ends.
+        """
         taken = np.zeros(0, np.int64)
         for closure in order:
+            if len(taken) >= most:
+                break
             far_a = np.abs(self.way_a[taken] - self.way_a[closure]) > self.separation
             far_b = np.abs(self.way_b[taken] - self.way_b[closure]) > self.separation
             if (far_a | far_b).all():

@@ -14,11 +14,14 @@ from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
+from pcm_jax.merging._strain import strain
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.selection import PairSelection, Selection
 
+UNLIKELY = 1e-3
+"""Probability below which a cycle of alignments does not close."""
 POSE_FIELDS = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "qx", "qy", "qz", "qw")}
 
 
@@ -102,6 +105,22 @@ class MergeResult:
         """True where another alignment of some two robots is supported about as well."""
         pairs = self.selection.pairs if self.selection else ()
         return any(pair.verdict.ambiguous for pair in pairs if pair.verdict)
+
+    @functools.cached_property
+    def warnings(self) -> list[str]:
+        """Reasons to doubt the answer, a sentence each; empty where there is none to see."""
+        names, chosen = self.graph.names, self.selection
+        told = [
+            f"{names[pair.robot_a]} and {names[pair.robot_b]}: {pair.verdict.why}"
+            for pair in (chosen.pairs if chosen else ())
+            if pair.verdict and pair.verdict.ambiguous
+        ]
+        for cycle in chosen.team if chosen else ():
+            if cycle.p < UNLIKELY:
+                around = " – ".join(names[robot] for robot in cycle.robots)
+                told.append(f"the alignments around {around} do not fit (p = {cycle.p:.2g})")
+        strained = strain(self.graph, self.solution.normalized_chi2)
+        return told + ([strained] if strained else [])
 
     @functools.cached_property
     def anchor_covariance(self) -> Float[np.ndarray, "robots d d"]:
@@ -208,6 +227,7 @@ class MergeResult:
                 }
                 for cycle in (self.selection.team if self.selection else ())
             ],
+            "warnings": list(self.warnings),
             "seconds": dict(self.seconds),
         }
 

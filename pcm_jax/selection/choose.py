@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -9,10 +10,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from pcm_jax.consistency import PairEvidence
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.selection.method import Choice
 from pcm_jax.selection.methods import METHODS
 
+A_CONFIDENCE = 0.9
+"""From here to 1 a gate is more likely meant to be a confidence."""
 Method = str | Callable[[PairEvidence, float], Bool[np.ndarray, " k"]]
 """A name of `METHODS`, or a function of one's own: bool [k] from the evidence and γ²."""
 
@@ -47,8 +50,18 @@ def select_from(
     Raises:
         InputError: for an unknown method or option, distances that are not a square matrix of
             numbers, a gate that is not a number of at least 0, a method that needs the maps.
+
+    Warns:
+        InputWarning: for a gate between 0.9 and 1, which is a confidence by the look of it.
     """
     check_method(method, options)
+    if np.ndim(gate) == 0 and A_CONFIDENCE <= float(gate) < 1.0:
+        warnings.warn(
+            f"gate: {float(gate):g}, expected a squared distance γ²: for a confidence of"
+            f" {float(gate):g} it is chi2_gate({float(gate):g}, dof)",
+            InputWarning,
+            stacklevel=2,
+        )
     choice = choose(PairEvidence.from_squared(np.asarray(squared)), gate, method=method, **options)
     return choice if with_certificate else choice.members
 

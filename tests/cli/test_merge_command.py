@@ -40,7 +40,7 @@ def report(merged):
 def test_the_report_has_the_contracts_fields(report):
     assert list(report) == [
         *("version", "method", "confidence", "gate", "robots", "closures", "robot_pairs"),
-        *("anchors", "solution", "groups", "team", "seconds", "input", "hints"),
+        *("anchors", "solution", "groups", "team", "warnings", "seconds", "input", "hints"),
     ]
     assert report["version"] == pcm_jax.__version__
     assert (report["method"], report["confidence"]) == ("pcm-exact", 0.99)

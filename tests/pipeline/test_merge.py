@@ -364,3 +364,24 @@ def test_spoiled_sets_accept_exactly_half(shared_data, folder):
         assert pair["optimal"]
     assert result.solution.converged
     assert result.graph.group is jaxlie.SE3
+
+
+def test_a_fit_that_cannot_be_meant_is_told_with_the_part_that_does_not_fit():
+    """All 20 random closures between a and c accepted, and those between a and b as PCM does."""
+    world = simulate_city(seed=0, robots=3, poses=60, inliers=6, aliased_groups=0, random=20)
+    closures = world.graph.closures
+    wrong = (closures.robot_a == 0) & (closures.robot_b == 2) & ~world.is_true
+    result = merge(world.graph, accepted=world.is_true | wrong)
+    (told,) = result.warnings
+    assert f"chi-squared is {result.solution.normalized_chi2:.3g}, where noise" in told
+    assert "% of it lies in the 26 closures between 'a' and 'c'" in told
+    assert result.report()["warnings"] == [told]
+    assert merge(world.graph, accepted=world.is_true).warnings == []
+
+
+def test_the_parts_of_a_fit_add_up_to_its_cost():
+    from pcm_jax.merging._strain import _shares
+
+    world = simulate_city(seed=0, poses=60, inliers=6, aliased_groups=0, random=2)
+    result = merge(world.graph, accepted=np.ones(8, bool))
+    assert sum(_shares(result.graph).values()) == pytest.approx(2 * result.solution.cost)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.selection import METHODS, select_from
 from pcm_jax.simulation import simulate_one_dimensional
 
@@ -182,3 +182,8 @@ def test_weights_outvote_a_larger_set(method):
 def test_bad_arguments_are_named(squared, gate, options, message):
     with pytest.raises(InputError, match=message):
         select_from(squared, gate, **options)
+
+
+def test_a_confidence_where_a_gate_belongs_is_told():
+    with pytest.warns(InputWarning, match=r"gate: 0.99, expected a squared distance .*chi2_gate"):
+        select_from(np.zeros((3, 3)), 0.99)
