@@ -47,9 +47,9 @@ ENOUGH = 5
 SHOWN = 19
 """Shuffles of which the places of the largest set are kept."""
 MOST = 1500
-"""Closures that are shuffled: about what `weigh` keeps distances of. Of more, so many drawn at random,
-one a place as far as that goes, are shuffled and tested: a set of less than a two-hundredth of
-them, of which only a few are drawn, is then not told from chance."""
+"""Closures that are shuffled: about what `weigh` keeps distances of. Of more, so many drawn at
+random, one a place as far as that goes, are shuffled and tested: a set of less than about one in
+two hundred of all, of which few are drawn, is then not told from chance."""
 MOST_SHUFFLES = 100_000
 ABOUT = 1.5
 """Times the total squared distance: a set that agrees about as well."""
