@@ -96,6 +96,7 @@ def chance_level(
     places: Places,
     accepted: Bool[np.ndarray, " k"] | None = None,
     *,
+    among: Bool[np.ndarray, " k"] | None = None,
     significance: float = SIGNIFICANCE,
     seed: int = 0,
 ) -> ChanceLevel:
@@ -111,6 +112,7 @@ def chance_level(
         places: where these closures lie, see `places_of`.
         accepted: bool [k], the set in question; the largest one by default. Of a set that is not
             pairwise consistent, its largest consistent part counts.
+        among: bool [k], the closures that are shuffled; all by default.
         significance: the level that p is to be compared with; as many shuffles are made as that
             takes.
         seed: of the shuffles; the same seed gives the same p.
@@ -125,7 +127,8 @@ def chance_level(
     if not 0.0 < significance < 1.0:
         raise InputError(f"significance: {significance}, expected a number between 0 and 1")
     generator = np.random.default_rng([seed, evidence.robot_a, evidence.robot_b])
-    chosen = _taking_part(places, accepted, generator)
+    candidates = np.arange(len(places.way_a)) if among is None else np.flatnonzero(among)
+    chosen = _taking_part(places, candidates, generator)
     within = np.ones(len(chosen), bool) if accepted is None else np.asarray(accepted)[chosen]
     shuffles = evidence.shuffles(gate, chosen, places.apart(chosen))
     as_given = shuffles.weigh(np.arange(len(chosen))[None])
@@ -161,13 +164,12 @@ class _Outcome(NamedTuple):
 
 
 def _taking_part(
-    places: Places, accepted: np.ndarray | None, generator: np.random.Generator
+    places: Places, candidates: Int[np.ndarray, " c"], generator: np.random.Generator
 ) -> Int[np.ndarray, " t"]:
-    """All closures; of too many some, as far as can be one a place, in random order of choice."""
-    count = len(places.way_a)
-    if count <= MOST:
-        return np.arange(count)
-    order = generator.permutation(count)
+    """All candidates; of too many some, as far as can be one a place, in random order of choice."""
+    if len(candidates) <= MOST:
+        return candidates
+    order = generator.permutation(candidates)
     taken = places.spread_out(order, MOST)
     rest = np.setdiff1d(order, taken, assume_unique=True)
     return np.sort(np.concatenate([taken, rest])[:MOST])

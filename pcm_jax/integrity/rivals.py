@@ -4,14 +4,16 @@ Where the world repeats itself, several sets agree within themselves, each beyon
 largest need not be the right one. A rival is the largest consistent set R whose closures contradict
 those of the set in question C, by the uncertainty of maps and measurements: few pairs of C x R are
 consistent. (Closures that C leaves out though they mean the same alignment are near misses: they
-contradict some members and agree with many others.) The answer is ambiguous if the rival is beyond
-chance itself, and
+contradict some members and agree with many others.) The answer is ambiguous if
 
-    rests on about as many places:     2 places(R) > places(C), or
-    C lies at one place beside it:     R reaches more than twice as far along the ways.
+    R rests on about as many places,   2 places(R) > places(C),   and is beyond chance among the
+    closures that are not in C; or
+    C lies at one place beside R:      R reaches more than twice as far along the ways, with at
+    least three closures and a third of C's.
 
 The second is for a corridor taken for another: any number of closures in one short stretch repeat
-one mistake, while right ones are found wherever the robots meet.
+one mistake, while right ones are found wherever the robots meet. On Bicocca 25b, cut where 19 false
+closures within 17 m outvote 8 right ones at both ends of 540 m, neither stands out from chance.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ AGREEING = 0.25
 """Share of pairs across two sets: with fewer that are consistent, they imply two alignments."""
 TRIES = 8
 """Largest sets that are looked at before it is said that there is no rival."""
-FEWEST = 2
-"""Closures of a rival."""
+FEWEST, FEWEST_FAR = 2, 3
+"""Closures of a rival, and of one that makes an answer ambiguous by its reach."""
 JOINT = 60
 """Closures of a rival that its alignment is found from, evenly spaced."""
 SEARCH = 5.0
@@ -111,11 +113,12 @@ def strongest_rival(
         agreeing = float(graph[np.ix_(members, found)].mean())
         if agreeing > AGREEING:
             continue  # near misses
-        chance = None
-        if _about_as_good(places, members, found):
-            asked: dict[str, Any] = {"significance": significance, "seed": seed}
+        chance, ambiguous = None, _reaches_further(places, members, found)
+        if not ambiguous and 2 * places.count(found) > places.count(members):
+            # Shuffled among the others: members repeat each other, shuffled or not.
+            asked: dict[str, Any] = {"among": ~members, "significance": significance, "seed": seed}
             chance = chance_level(evidence, gate, places, found, **asked)
-        ambiguous = chance is not None and chance.p_value <= significance
+            ambiguous = chance.p_value <= significance
         if ambiguous or largest is None:
             largest = found, agreeing, chance, ambiguous
         if ambiguous:
@@ -151,8 +154,7 @@ def _largest_among(
     return found
 
 
-def _about_as_good(places: Places, members: np.ndarray, rival: np.ndarray) -> bool:
-    """True if a rival has places enough, or reaches so far, that the answer hangs on it."""
-    if 2 * places.count(rival) > places.count(members):
-        return True
-    return places.reach(rival) > 2.0 * places.reach(members)
+def _reaches_further(places: Places, members: np.ndarray, rival: np.ndarray) -> bool:
+    """True if the set in question lies at one place beside a rival that is not too small."""
+    enough = np.count_nonzero(rival) >= max(FEWEST_FAR, np.count_nonzero(members) / 3)
+    return bool(enough and places.reach(rival) > 2.0 * places.reach(members))

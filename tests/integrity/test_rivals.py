@@ -6,7 +6,7 @@ from integrity_worlds import evidence_of
 
 from pcm_jax import chi2_gate, merge, select
 from pcm_jax.integrity import Places, places_of, strongest_rival
-from pcm_jax.integrity.rivals import _about_as_good
+from pcm_jax.integrity.rivals import _reaches_further
 
 GATE = float(chi2_gate(0.99, 3))
 
@@ -52,12 +52,14 @@ def test_closures_left_out_of_the_same_alignment_are_no_rival():
 
 
 def test_a_set_at_one_place_must_be_better_than_one_that_reaches_far():
-    way_a = np.concatenate([np.linspace(0, 10, 20), [0.0, 100, 200, 300]])
-    places = Places(way_a, way_a, 0.0)
-    one_place = np.arange(24) < 20
+    way = np.concatenate([np.linspace(0, 10, 20), [0.0, 100, 200, 300, 310, 320, 330]])
+    one_place, places = np.arange(27) < 20, Places(way, way, 0.0)
     assert places.count(~one_place) * 2 < places.count(one_place)
-    assert _about_as_good(places, one_place, ~one_place)
-    assert not _about_as_good(Places(np.arange(24.0), np.arange(24.0), 0.0), one_place, ~one_place)
+    assert _reaches_further(places, one_place, ~one_place)
+    few = ~one_place & (np.arange(27) < 26)
+    assert not _reaches_further(places, one_place, few)  # six of them, against twenty
+    spread = np.arange(27.0)
+    assert not _reaches_further(Places(spread, spread, 0.0), one_place, ~one_place)
 
 
 def test_nothing_else_agrees():
