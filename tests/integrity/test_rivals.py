@@ -6,7 +6,7 @@ from integrity_worlds import evidence_of
 
 from pcm_jax import chi2_gate, merge, select
 from pcm_jax.integrity import Places, places_of, strongest_rival
-from pcm_jax.integrity.rivals import _reaches_further
+from pcm_jax.integrity.rivals import _nearly_as_large, _reaches_further
 
 GATE = float(chi2_gate(0.99, 3))
 
@@ -19,9 +19,14 @@ def test_two_equal_aliased_groups_are_never_merged():
     rival = pair.verdict.rival
     assert rival.size >= 7
     assert len(np.unique(world.labels[rival.members])) == 1  # one of the two groups
-    assert rival.chance.p_value <= 0.01
     assert rival.shared == 0
     assert "AMBIGUOUS" in pair.verdict.why
+
+
+def test_a_set_is_beaten_by_nearly_as_many_whatever_chance_says():
+    members, rival = np.arange(20) < 8, np.arange(20) >= 13
+    assert _nearly_as_large(members, rival)  # 7 of 8
+    assert not _nearly_as_large(members, np.arange(20) >= 14)  # 6 of 8
 
 
 def test_unless_the_larger_is_asked_for():
