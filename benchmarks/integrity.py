@@ -23,7 +23,8 @@ import itertools
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import beta
@@ -37,6 +38,7 @@ from pcm_jax.integrity import Verdict
 from pcm_jax.simulation import simulate_city, simulate_sessions
 from pcm_jax.store import Store, digest, write_json
 
+SOURCES = (*LIBRARY, Path(__file__))
 LAWS = ("uniform", "near", "identity")
 FIXED = (2, 3, 5)
 POSES = 200
@@ -68,20 +70,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     start = time.perf_counter()
     options.out.mkdir(parents=True, exist_ok=True)
-    steps = Store(options.out / "steps", digest(options.worlds, options.seeds, files=LIBRARY))
-    cells = itertools.product(
-        options.groups,
-        options.closures,
-        options.right,
-        options.aliased,
-        options.laws,
-        options.drifts,
-        options.loops,
+    steps = Store(options.out / "steps", digest(options.worlds, options.seeds, files=SOURCES))
+    cells = itertools.starmap(
+        Cell,
+        itertools.product(
+            options.groups,
+            options.closures,
+            options.right,
+            options.aliased,
+            options.laws,
+            options.drifts,
+            options.loops,
+        ),
     )
     tasks = {
-        name(*cell): partial(cell_of, *cell, worlds=options.worlds, seed=options.seeds[0])
+        cell.name: partial(rates_of, cell, worlds=options.worlds, seed=options.seeds[0])
         for cell in cells
-        if cell[1] >= cell[2] + cell[3]
+        if cell.count >= cell.right + cell.aliased
     }
     found = run_tasks("cells", tasks, steps, jobs=options.jobs)
     rows = {f"{cell}, {rule}": own for cell, rules in found.items() for rule, own in rules.items()}
@@ -93,30 +98,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def name(
-    group: str, count: int, right: int, aliased: int, law: str, drift: float, loops: str
-) -> str:
-    """The name of a cell."""
-    groups = f", {aliased} aliased" if aliased else ""
-    return f"{group}, {right} of {count} right{groups}, {law}, drift {drift:g}, {loops}"
+class Cell(NamedTuple):
+    """One law of worlds.
+
+    Attributes:
+        group: "SE2" or "SE3".
+        count: candidates.
+        right: right ones among them.
+        aliased: false ones that agree within themselves.
+        law: of the other false ones.
+        drift: times the simulator's odometry noise.
+        loops: "loops", or "odometry": maps without loops.
+    """
+
+    group: str
+    count: int
+    right: int
+    aliased: int
+    law: str
+    drift: float
+    loops: str
+
+    @property
+    def name(self) -> str:
+        """The cell in words."""
+        groups = f", {self.aliased} aliased" if self.aliased else ""
+        return (
+            f"{self.group}, {self.right} of {self.count} right{groups}, {self.law}, "
+            f"drift {self.drift:g}, {self.loops}"
+        )
 
 
-def cell_of(
-    group: str,
-    count: int,
-    right: int,
-    aliased: int,
-    law: str,
-    drift: float,
-    loops: str,
-    *,
-    worlds: int,
-    seed: int,
-) -> dict[str, dict[str, float]]:
+def rates_of(cell: Cell, *, worlds: int, seed: int) -> dict[str, dict[str, float]]:
     """The rates of every rule over many worlds of one law."""
     outcomes: dict[str, list[tuple[bool, bool, float]]] = {}
     for number in range(worlds):
-        graph, is_true = world_of(group, count, right, aliased, law, drift, loops, (seed, number))
+        graph, is_true = world_of(cell, (seed, number))
         for rule, (accepted, seconds) in decisions(graph).items():
             kept = int(accepted.sum())
             true = int((accepted & is_true).sum())
@@ -142,33 +159,24 @@ def decisions(graph: MultiRobotGraph) -> dict[str, tuple[np.ndarray, float]]:
     return found
 
 
-def world_of(
-    group: str,
-    count: int,
-    right: int,
-    aliased: int,
-    law: str,
-    drift: float,
-    loops: str,
-    seed: tuple[int, int],
-) -> tuple[MultiRobotGraph, np.ndarray]:
+def world_of(cell: Cell, seed: tuple[int, int]) -> tuple[MultiRobotGraph, np.ndarray]:
     """Two robots and their candidates, and which of these are right."""
-    simulate: Any = simulate_city if group == "SE2" else simulate_sessions
+    simulate: Any = simulate_city if cell.group == "SE2" else simulate_sessions
     world = simulate(
         seed=seed[0] * 1_000_000 + seed[1],
         poses=POSES,
-        inliers=right,
-        aliased_groups=1 if aliased else 0,
-        aliased_size=max(1, aliased),
-        random=count - right - aliased,
-        random_range=NEAR if law == "near" else None,
-        **{kind: drift * sigma for kind, sigma in NOISE[group].items()},
+        inliers=cell.right,
+        aliased_groups=1 if cell.aliased else 0,
+        aliased_size=max(1, cell.aliased),
+        random=cell.count - cell.right - cell.aliased,
+        random_range=NEAR if cell.law == "near" else None,
+        **{kind: cell.drift * sigma for kind, sigma in NOISE[cell.group].items()},
     )
     closures = world.graph.closures
-    if law == "identity":
+    if cell.law == "identity":
         closures = _at_the_same_spot(closures, world.labels < 0, np.random.default_rng(seed))
     maps = world.graph.maps
-    if loops == "odometry":
+    if cell.loops == "odometry":
         maps = tuple(_odometry(one) for one in maps)
     return MultiRobotGraph(maps, closures), world.is_true
 

@@ -33,7 +33,8 @@ def test_table_and_resuming(tmp_path, capsys, monkeypatch):
 
 def test_candidates_are_as_the_law_says():
     for law, right in (("uniform", 0), ("near", 3), ("identity", 3)):
-        graph, is_true = integrity.world_of("SE3", 20, right, 4, law, 1.0, "odometry", (0, 1))
+        cell = integrity.Cell("SE3", 20, right, 4, law, 1.0, "odometry")
+        graph, is_true = integrity.world_of(cell, (0, 1))
         assert len(graph.closures) == 20
         assert is_true.sum() == right
         assert all(one.num_edges == one.num_poses - 1 for one in graph.maps)
