@@ -15,7 +15,6 @@ from pcm_jax.errors import InputError
 from pcm_jax.tables import columns_of_text
 
 NOTHING = "Nothing to merge: no closure between robots is believed; the table says why."
-TOO_BAD = 10.0  # normalised chi-squared above which the stated noise cannot be meant
 
 
 def run(options: Any) -> None:
@@ -91,6 +90,8 @@ def _hints(options: Any, graph: Any, report: dict[str, Any], progress: Progress)
     fit ten times better.
     """
     chi2 = report["solution"]["normalized_chi2"]
+    from pcm_jax.merging import TOO_BAD
+
     told = square_root(options, graph, progress, clean=options.clean_maps)
     if told is not None:
         yield told

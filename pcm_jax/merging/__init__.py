@@ -11,12 +11,14 @@ differentiable   `merge_differentiable`: the same solve as one traced function, 
 compile_time     how long JAX compiled meanwhile
 """
 
+from pcm_jax.merging._strain import TOO_BAD
 from pcm_jax.merging.differentiable import merge_differentiable
 from pcm_jax.merging.result import MergeResult, MergeSolution
 from pcm_jax.merging.robust import ROBUST_METHODS, RobustSolution
 
 __all__ = [
     "ROBUST_METHODS",
+    "TOO_BAD",
     "MergeResult",
     "MergeSolution",
     "RobustSolution",
