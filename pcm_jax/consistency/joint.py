@@ -119,7 +119,7 @@ def joint_consistency(evidence: PairEvidence, accepted: Any = None) -> JointCons
             distances alone.
     """
     rows = chosen_rows(evidence, accepted, "accepted")
-    tested = _thinned(rows, LIMIT)
+    tested = thinned(rows, LIMIT)
     stacked = stack_closures(evidence, tested)
     fit = stacked.fit()
     projection = fit.projection()
@@ -164,7 +164,7 @@ def alignment_difference(evidence: PairEvidence, first: Any, second: Any) -> Ali
         raise InputError(f"second: closure {shared[0]} is in the first set too, expected another")
     asked = sum(map(len, sets))
     share = min(1.0, LIMIT / asked)
-    sets = [_thinned(rows, max(1, int(share * len(rows)))) for rows in sets]
+    sets = [thinned(rows, max(1, int(share * len(rows)))) for rows in sets]
     rows = np.concatenate(sets)
     stacked, group = stack_closures(evidence, rows), np.repeat([0, 1], [len(rows) for rows in sets])
     own = [stacked.take(np.flatnonzero(group == k)).fit().alignment for k in (0, 1)]
@@ -248,7 +248,7 @@ def chosen_rows(evidence: PairEvidence, chosen: Any, argument: str) -> Int[np.nd
     return given.astype(np.int64)
 
 
-def _thinned(rows: np.ndarray, limit: int) -> np.ndarray:
+def thinned(rows: Int[np.ndarray, " k"], limit: int) -> Int[np.ndarray, " t"]:
     """At most `limit` of them, evenly spaced, the first and the last included."""
     if len(rows) <= limit:
         return rows

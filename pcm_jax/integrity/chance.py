@@ -102,9 +102,9 @@ def chance_level(
 ) -> ChanceLevel:
     """Tests how often closures of which none is right agree as well as these.
 
-        pair = evidence.pairs[0]
-        gate = pcm_jax.chi2_gate(0.99, dof=3)
-        pcm_jax.integrity.chance_level(pair, gate, pcm_jax.integrity.places_of(pair)).p_value
+        pair = selection.pairs[0]
+        places = pcm_jax.integrity.places_of(pair.evidence, gate=pair.gate, members=pair.accepted)
+        pcm_jax.integrity.chance_level(pair.evidence, pair.gate, places, pair.accepted).p_value
 
     Args:
         evidence: of the closures between two robots, see `weigh`.

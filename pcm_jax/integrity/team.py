@@ -28,9 +28,9 @@ from jaxtyping import Bool, Float
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import JointConsistency, PairEvidence, joint_consistency
-from pcm_jax.consistency.joint import survival
+from pcm_jax.consistency.joint import survival, thinned
 from pcm_jax.integrity.chance import SIGNIFICANCE
-from pcm_jax.integrity.rivals import JOINT, evenly
+from pcm_jax.integrity.rivals import JOINT
 from pcm_jax.integrity.verdict import Verdict
 
 Pair = tuple[int, int]
@@ -142,7 +142,9 @@ def judge_team(
     if not nx.cycle_basis(believed):
         return list(verdicts), ()
     alignments = {
-        (pair.robot_a, pair.robot_b): joint_consistency(pair, evenly(members, JOINT))
+        (pair.robot_a, pair.robot_b): joint_consistency(
+            pair, thinned(np.flatnonzero(members), JOINT)
+        )
         for (pair, members), verdict in zip(pairs, verdicts, strict=True)
         if verdict.believed
     }
