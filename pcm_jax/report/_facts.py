@@ -1,0 +1,129 @@
+"""The facts on every closure that the page tells: its fate, whom it contradicts, how far it is off.
+
+Two closures contradict each other by q / γ, the ratio of their distance (paper, eq. 4) to what the
+gate lets pass: at most 1 where they agree. A closure between pose i of robot a and pose k of
+robot b claims, once the maps are merged, that k is at `P_i z`; it is off by Log(P_k⁻¹ P_i z).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pcm_jax import lie
+from pcm_jax.graph import LoopClosures
+from pcm_jax.merging import MergeResult
+from pcm_jax.selection import PairSelection
+
+ACCEPTED, RIVAL, REJECTED = range(3)
+FATES = ("accepted", "rival", "rejected")
+UNKNOWN = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """The facts on m closures; −1 and NaN where they are not known.
+
+    Attributes:
+        fate: int `[m]`, an index of `FATES`.
+        agreeing: int `[m]`, accepted closures of the same two robots, others than itself, that it
+            agrees with.
+        others: int `[m]`, how many of these there are.
+        worst: int `[m]`, the accepted one that it contradicts most, or agrees with least.
+        ratio: float `[m]`, q / γ of the two.
+        away: float `[m]`, how far off it is in the merged maps, metres.
+        turned: float `[m]`, likewise, degrees.
+        claimed: float `[m, s]`, where it puts its second pose, in the merged maps' frame.
+    """
+
+    fate: Int[np.ndarray, " m"]
+    agreeing: Int[np.ndarray, " m"]
+    others: Int[np.ndarray, " m"]
+    worst: Int[np.ndarray, " m"]
+    ratio: Float[np.ndarray, " m"]
+    away: Float[np.ndarray, " m"]
+    turned: Float[np.ndarray, " m"]
+    claimed: Float[np.ndarray, "m s"]
+
+
+def facts_of(result: MergeResult) -> Facts:
+    """Gathers what a merge knows of every candidate closure."""
+    count = len(result.candidates)
+    agreeing, others, worst = (np.full(count, UNKNOWN) for _ in range(3))
+    ratio = np.full(count, np.nan)
+    fate = np.where(result.accepted, ACCEPTED, REJECTED)
+    for pair in result.selection.pairs if result.selection else ():
+        rows = pair.closures
+        fate[rows[rival_members(pair) & ~pair.accepted]] = RIVAL
+        agreeing[rows], others[rows] = _agreement(pair)
+        worst[rows], ratio[rows] = _worst(pair)
+    return Facts(fate, agreeing, others, worst, ratio, *_residuals(result))
+
+
+def rival_members(pair: PairSelection) -> np.ndarray:
+    """The closures `[k]` of the best set that implies another alignment; none without one."""
+    rival = pair.verdict.rival if pair.verdict else None
+    return np.zeros(len(pair.accepted), bool) if rival is None else rival.members
+
+
+def ratios(pair: PairSelection) -> Float[np.ndarray, "k k"] | None:
+    """Q / γ of every two closures, the larger of both directions; None where it is streamed."""
+    if pair.evidence.is_streamed:
+        return None
+    squared = np.asarray(pair.squared, np.float64)
+    return np.sqrt(np.maximum(np.fmax(squared, squared.T), 0.0) / pair.gate)
+
+
+def ends_of(closures: LoopClosures, maps: Any) -> tuple[Any, Any]:
+    """The poses (Lie `[m]`, NumPy) that closures join, in some maps."""
+    first, count = [], 0
+    for one in maps:
+        first.append(count)
+        count += one.num_poses
+    poses = lie.concatenate([lie.as_numpy(one.poses) for one in maps])
+    start = np.asarray(first)
+    at_a = start[np.asarray(closures.robot_a)] + np.asarray(closures.pose_a)
+    at_b = start[np.asarray(closures.robot_b)] + np.asarray(closures.pose_b)
+    return lie.take(poses, at_a), lie.take(poses, at_b)
+
+
+def _agreement(pair: PairSelection) -> tuple[np.ndarray, np.ndarray]:
+    graph = pair.consistent() & ~np.eye(len(pair.accepted), dtype=bool)
+    return graph[:, pair.accepted].sum(axis=1), pair.accepted.sum() - pair.accepted
+
+
+def _worst(pair: PairSelection) -> tuple[np.ndarray, np.ndarray]:
+    """The accepted closure that each contradicts most, and by how much."""
+    count, accepted = len(pair.accepted), np.flatnonzero(pair.accepted)
+    apart = ratios(pair)
+    if apart is None or not len(accepted):
+        return np.full(count, UNKNOWN), np.full(count, np.nan)
+    apart[np.diag_indices(count)] = -1.0
+    towards = np.where(np.isfinite(apart[:, accepted]), apart[:, accepted], np.inf)
+    found = towards.argmax(axis=1)
+    ratio = towards[np.arange(count), found]
+    alone = ratio < 0.0  # the only one accepted
+    return (
+        np.where(alone, UNKNOWN, pair.closures[accepted[found]]),
+        np.where(alone, np.nan, ratio),
+    )
+
+
+def _residuals(result: MergeResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Metres and degrees by which each closure is off, and where it puts its second pose."""
+    closures = result.candidates
+    pose_a, pose_b = ends_of(closures, result.graph.maps)
+    claimed = lie.compose(pose_a, lie.as_numpy(closures.measurement))
+    error = lie.between(pose_b, claimed)
+    space = lie.translation(error).shape[-1]
+    away = np.linalg.norm(lie.translation(error), axis=-1)
+    turned = np.degrees(np.linalg.norm(np.asarray(lie.log(error))[:, space:], axis=-1))
+    group = np.zeros(len(result.maps), int)
+    for number, members in enumerate(result.groups):
+        group[list(members)] = number
+    apart = group[np.asarray(closures.robot_a)] != group[np.asarray(closures.robot_b)]
+    away[apart] = turned[apart] = np.nan
+    return away, turned, np.asarray(lie.translation(claimed))
