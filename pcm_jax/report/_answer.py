@@ -104,7 +104,8 @@ def _rival(pairs: list[dict[str, Any]]) -> Markup | None:
         size = max(pair["rival"]["size"] for pair in rivals)
         note = "the best set that implies another alignment is clearly weaker"
         return _card("Rival", f"Weak: {counted(size, 'closure')}", note, "good")
-    return _card("Rival", "None", "no other set of closures implies another alignment", "good")
+    state = "good" if any(pair["accepted"] for pair in pairs) else "plain"
+    return _card("Rival", "None", "no other set of closures implies another alignment", state)
 
 
 def _proof(pairs: list[dict[str, Any]]) -> Markup | None:

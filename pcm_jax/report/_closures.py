@@ -10,19 +10,22 @@ import numpy as np
 from pcm_jax.merging import MergeResult
 from pcm_jax.report._elements import Markup, element
 from pcm_jax.report._facts import FATES, Facts
-from pcm_jax.report._words import closure_sentence, counted, number
+from pcm_jax.report._words import CLOSE, closure_sentence, counted, number, off_by
 
-TOLD = {"accepted": "● accepted", "rival": "◆ rival", "rejected": "✕ rejected"}
+TOLD = {
+    "accepted": "● accepted",
+    "refused": "○ refused",
+    "rival": "◆ rival",
+    "rejected": "✕ rejected",
+}
 COLUMNS = (
     ("Closure", "number", "index"),
-    ("From", None, "end"),
-    ("To", None, "end"),
+    ("Between", None, "ends"),
     ("Fate", None, "fate"),
-    ("Agrees with", "number", "number"),
-    ("Worst against", "number", "number"),
-    ("Off, m", "number", "number"),
-    ("Off, °", "number", "number"),
     ("Why", "none", "why"),
+    ("Agrees with", "number", "number"),
+    ("Worst conflict", "number", "number"),
+    ("Off by", "number", "number"),
 )
 
 
@@ -36,10 +39,15 @@ def closures_section(result: MergeResult, report: dict[str, Any], facts: Facts) 
         element("h2", "Every closure, and why", id="closures-title"),
         element(
             "p",
-            "Press a closure’s number to see it on the maps, with those it contradicts. “Agrees"
-            " with” counts accepted closures of the same two robots; “Worst against” is how many"
-            " times too far apart it and the accepted closure it contradicts most are (over 1 is a"
-            " contradiction); “Off” is how far it misses in the merged maps.",
+            "Press a closure’s number to see it on the maps, with those it contradicts.",
+            element(
+                "span",
+                " “Agrees with” counts accepted closures of the same two robots; “Worst conflict”"
+                " names the one of these that it is furthest from, as a multiple of what may be"
+                " (over 1 × they contradict each other); “Off by” is how far it misses in the"
+                " merged maps.",
+                class_="wide",
+            ),
             class_="how",
         ),
         _controls(report, facts),
@@ -120,14 +128,12 @@ def _row(row: dict[str, Any], facts: Facts, pair: int, of_pair: dict[str, Any]) 
             data_sort=index,
             class_="index",
         ),
-        element("td", row["a"], class_="end", title=row["source"] or None),
-        element("td", row["b"], class_="end"),
+        element("td", row["a"], " → ", row["b"], class_="ends", data_source=row["source"] or None),
         element("td", TOLD[fate], class_=f"fate {fate}"),
-        _number(f"{agreeing} of {others}" if others > 0 else "–", agreeing),
-        _measure(facts.ratio[index]),
-        _measure(facts.away[index]),
-        _measure(facts.turned[index]),
         element("td", closure_sentence(row, facts, of_pair), class_="why"),
+        _number(f"{agreeing} of {others}" if others > 0 else "–", agreeing),
+        _number(_conflict(facts, index), float(facts.ratio[index])),
+        _number(off_by(facts, index) or "–", float(facts.away[index])),
         id=f"closure-{index}",
         data_closure=index,
         data_fate=fate,
@@ -135,8 +141,11 @@ def _row(row: dict[str, Any], facts: Facts, pair: int, of_pair: dict[str, Any]) 
     )
 
 
-def _measure(value: Any) -> Markup:
-    return _number(number(float(value), 2), float(value))
+def _conflict(facts: Facts, index: int) -> str:
+    ratio = float(facts.ratio[index])
+    return (
+        "–" if math.isnan(ratio) else f"{number(ratio, 2)}{CLOSE}× with{CLOSE}{facts.worst[index]}"
+    )
 
 
 def _number(text: str, value: float) -> Markup:

@@ -21,7 +21,7 @@ from pcm_jax.arrays import on_host
 from pcm_jax.consistency import chi2_gate
 from pcm_jax.integrity import way_of
 from pcm_jax.merging import MergeResult
-from pcm_jax.report._facts import FATES, Facts, ends_of, ratios, rival_members
+from pcm_jax.report._facts import FATES, Facts, ends_of, found_members, ratios, rival_members
 from pcm_jax.selection import PairSelection
 
 MOST_POSES = 20_000
@@ -102,8 +102,8 @@ def _most(pairs: int) -> int:
 
 
 def _pair(pair: PairSelection, most: int) -> dict[str, Any]:
-    rival = rival_members(pair)
-    shown = _shown(pair, pair.accepted | rival, most)
+    rival, found = rival_members(pair), found_members(pair)
+    shown = _shown(pair, found | rival, most)
     graph = pair.consistent()[np.ix_(shown, shown)]
     apart = ratios(pair)
     known = None if apart is None else apart[np.ix_(shown, shown)]
@@ -113,7 +113,8 @@ def _pair(pair: PairSelection, most: int) -> dict[str, Any]:
         "b": pair.robot_b,
         "closures": pair.closures[shown].tolist(),
         "left_out": len(pair.accepted) - len(shown),
-        "members": np.flatnonzero(pair.accepted[shown]).tolist(),
+        "accepted": bool(pair.accepted.any()),
+        "members": np.flatnonzero(found[shown]).tolist(),
         "rival": np.flatnonzero(rival[shown]).tolist(),
         "limit": math.sqrt(pair.gate),
         "measured": known is not None,

@@ -18,8 +18,9 @@ from pcm_jax.graph import LoopClosures
 from pcm_jax.merging import MergeResult
 from pcm_jax.selection import PairSelection
 
-ACCEPTED, RIVAL, REJECTED = range(3)
-FATES = ("accepted", "rival", "rejected")
+ACCEPTED, REFUSED, RIVAL, REJECTED = range(4)
+FATES = ("accepted", "refused", "rival", "rejected")
+"""Fates: refused is a member of the set that was found between two robots and not accepted."""
 UNKNOWN = -1
 
 
@@ -29,10 +30,10 @@ class Facts:
 
     Attributes:
         fate: int `[m]`, an index of `FATES`.
-        agreeing: int `[m]`, accepted closures of the same two robots, others than itself, that it
-            agrees with.
+        agreeing: int `[m]`, closures of the set found between the same two robots, others than
+            itself, that it agrees with.
         others: int `[m]`, how many of these there are.
-        worst: int `[m]`, the accepted one that it contradicts most, or agrees with least.
+        worst: int `[m]`, the one of these that it contradicts most, or agrees with least.
         ratio: float `[m]`, q / γ of the two.
         away: float `[m]`, how far off it is in the merged maps, metres.
         turned: float `[m]`, likewise, degrees.
@@ -57,7 +58,9 @@ def facts_of(result: MergeResult) -> Facts:
     fate = np.where(result.accepted, ACCEPTED, REJECTED)
     for pair in result.selection.pairs if result.selection else ():
         rows = pair.closures
-        fate[rows[rival_members(pair) & ~pair.accepted]] = RIVAL
+        fate[rows[rival_members(pair)]] = RIVAL
+        fate[rows[found_members(pair)]] = REFUSED
+        fate[result.accepted] = ACCEPTED
         agreeing[rows], others[rows] = _agreement(pair)
         worst[rows], ratio[rows] = _worst(pair)
     return Facts(fate, agreeing, others, worst, ratio, *_residuals(result))
@@ -67,6 +70,12 @@ def rival_members(pair: PairSelection) -> np.ndarray:
     """The closures `[k]` of the best set that implies another alignment; none without one."""
     rival = pair.verdict.rival if pair.verdict else None
     return np.zeros(len(pair.accepted), bool) if rival is None else rival.members
+
+
+def found_members(pair: PairSelection) -> np.ndarray:
+    """The closures `[k]` of the set that the method found, accepted or not; one is no set."""
+    alone = pair.members is None or np.count_nonzero(pair.members) < 2
+    return pair.accepted if alone else pair.members
 
 
 def ratios(pair: PairSelection) -> Float[np.ndarray, "k k"] | None:
@@ -92,22 +101,23 @@ def ends_of(closures: LoopClosures, maps: Any) -> tuple[Any, Any]:
 
 def _agreement(pair: PairSelection) -> tuple[np.ndarray, np.ndarray]:
     graph = pair.consistent() & ~np.eye(len(pair.accepted), dtype=bool)
-    return graph[:, pair.accepted].sum(axis=1), pair.accepted.sum() - pair.accepted
+    found = found_members(pair)
+    return graph[:, found].sum(axis=1), found.sum() - found
 
 
 def _worst(pair: PairSelection) -> tuple[np.ndarray, np.ndarray]:
-    """The accepted closure that each contradicts most, and by how much."""
-    count, accepted = len(pair.accepted), np.flatnonzero(pair.accepted)
+    """The closure of the set found that each contradicts most, and by how much."""
+    count, members = len(pair.accepted), np.flatnonzero(found_members(pair))
     apart = ratios(pair)
-    if apart is None or not len(accepted):
+    if apart is None or not len(members):
         return np.full(count, UNKNOWN), np.full(count, np.nan)
     apart[np.diag_indices(count)] = -1.0
-    towards = np.where(np.isfinite(apart[:, accepted]), apart[:, accepted], np.inf)
+    towards = np.where(np.isfinite(apart[:, members]), apart[:, members], np.inf)
     found = towards.argmax(axis=1)
     ratio = towards[np.arange(count), found]
     alone = ratio < 0.0  # the only one accepted
     return (
-        np.where(alone, UNKNOWN, pair.closures[accepted[found]]),
+        np.where(alone, UNKNOWN, pair.closures[members[found]]),
         np.where(alone, np.nan, ratio),
     )
 

@@ -40,7 +40,7 @@ def _scrolled(table: Markup, name: str) -> Markup:
 def maps_section(drawn: dict[str, Any]) -> Markup:
     """The maps before and after merging, with all closures."""
     names = [robot["name"] for robot in drawn["robots"]]
-    before = "Each robot’s own map, side by side: how they lie to each other is not known yet."
+    before = "Each robot’s own map, apart: how they lie to each other is not known yet."
     figures = [_figure("before", "Before", element("p", before))]
     joint = [k for k, group in enumerate(drawn["groups"]) if len(group) > 1]
     for k in joint:
@@ -106,9 +106,9 @@ def agreement_section(drawn: dict[str, Any]) -> Markup | None:
                 element(
                     "p",
                     "Row and column are closures in the order in which the robots came to them."
-                    " Blue: the two agree; grey to white: they contradict each other, the paler"
-                    " the more. Bars at the edge mark accepted (solid) and rival (hatched)"
-                    " closures. Press a cell to see its two closures.",
+                    " Blue: the two agree; grey: they contradict each other. Bars at the edge mark"
+                    " the set that was found (solid) and its rival (split). Press a cell to see its"
+                    " two closures.",
                 ),
             ),
             _figure(

@@ -6,7 +6,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from pcm_jax.report._facts import ACCEPTED, RIVAL, UNKNOWN, Facts
+from pcm_jax.report._facts import ACCEPTED, REFUSED, RIVAL, UNKNOWN, Facts
+
+SAID = 2
+"""Refused pairs of robots whose reasons the answer gives itself."""
+CLOSE = "\N{NO-BREAK SPACE}"
+FOUND = "closure found to agree", "closures found to agree"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -70,8 +75,11 @@ def answer(report: dict[str, Any]) -> Iterator[str]:
     if kept and apart:
         names = [group[0] for group in apart]
         yield f"No accepted closure leads to {listed(names)}: {_it(names)} a frame of its own."
-    for pair in report["robot_pairs"]:
-        if pair["accepted"] == 0 and pair.get("why"):
+    refused = [pair for pair in report["robot_pairs"] if not pair["accepted"] and pair.get("why")]
+    if len(refused) > SAID:
+        yield f"Why not, of {len(refused)} pairs of robots, stands below, robot by robot."
+    else:
+        for pair in refused:
             yield f"{pair['a']} and {pair['b']}: {pair['why']}."
 
 
@@ -91,14 +99,20 @@ def closure_sentence(row: dict[str, Any], facts: Facts, pair: dict[str, Any] | N
         return row["why"]
     index = row["index"]
     fate, others = facts.fate[index], int(facts.others[index])
-    off = _off(facts, index)
+    off = off_by(facts, index)
     if fate == ACCEPTED:
         if others == UNKNOWN:
             return f"Accepted{off and f': in the merged maps it is off by {off}'}."
         together = f"it agrees with all {others} others" if others else "it stands alone"
         return f"Accepted: {together}{off and f', and in the merged maps it is off by {off}'}."
+    if fate == REFUSED:
+        return f"Refused with the {others + 1} closures found that agree: {_reason(pair)}."
     start = "In the rival set: it and others agree on another alignment. " if fate == RIVAL else ""
     return start + _rejection(index, facts, pair, off)
+
+
+def _reason(pair: dict[str, Any] | None) -> str:
+    return (pair or {}).get("why") or "none was accepted"
 
 
 def _rejection(index: int, facts: Facts, pair: dict[str, Any] | None, off: str) -> str:
@@ -106,23 +120,19 @@ def _rejection(index: int, facts: Facts, pair: dict[str, Any] | None, off: str) 
     if others == UNKNOWN:
         return f"Rejected{off and f': in the merged maps it is off by {off}'}."
     if others == 0:
-        why = (pair or {}).get("why")
-        return f"Rejected, as all closures of its two robots: {why or 'none was accepted'}."
+        return f"Rejected, as all closures of its two robots: {_reason(pair)}."
     agreeing, ratio = int(facts.agreeing[index]), float(facts.ratio[index])
-    accepted = counted(others, "accepted closure")
-    told = (
-        f"Rejected: it agrees with {agreeing or 'none'} of the {accepted}"
-        if agreeing < others
-        else f"Rejected, although it agrees with all {others} that are accepted"
-    )
+    kind = ("accepted closure",) if pair and pair["accepted"] else FOUND
+    told = f"Rejected: it agrees with {agreeing or 'none'} of {counted(others, *kind)}"
     if not math.isnan(ratio) and agreeing < others:
         told += (
-            f" and contradicts closure {facts.worst[index]} most, by {number(ratio, 2)} times what"
-            " may be"
+            f". It contradicts closure {facts.worst[index]} most: the two are {number(ratio, 2)}"
+            " times further apart than their uncertainty allows"
         )
     return f"{told}.{off and f' If these are right, it is off by {off}.'}"
 
 
-def _off(facts: Facts, index: int) -> str:
+def off_by(facts: Facts, index: int) -> str:
+    """How far a closure misses in the merged maps; nothing where they are not in one frame."""
     away, turned = float(facts.away[index]), float(facts.turned[index])
-    return "" if math.isnan(away) else f"{number(away, 2)} m and {number(turned, 2)}°"
+    return "" if math.isnan(away) else f"{number(away, 2)}{CLOSE}m, {number(turned, 2)}°"

@@ -46,7 +46,7 @@
       const px = size + BAR;
       canvas.style.width = canvas.style.height = `${px}px`;
       canvas.setAttribute("role", "img");
-      canvas.setAttribute("aria-label", `Distances between ${n} closures; ${pair.members.length} of them are accepted. The table of closures has the numbers.`);
+      canvas.setAttribute("aria-label", `Distances between ${n} closures; ${pair.members.length} of them ${pair.accepted ? "are accepted" : "were found to agree and refused"}. The table of closures has the numbers.`);
       host.append(canvas);
       const context = canvas.getContext("2d");
       context.scale(ratio, ratio);
@@ -102,12 +102,14 @@
         const member = pair.isMember.has(k);
         if (!member && !pair.isRival.has(k)) return;
         context.fillStyle = style.getPropertyValue(member ? "--accepted" : "--rival");
+        context.globalAlpha = member && !pair.accepted ? 0.55 : 1;
         const [start, length] = [BAR + at * cell, Math.max(cell, 1)];
         const strips = member ? [[2, 12]] : [[2, 4], [10, 4]];
         strips.forEach(([offset, thick]) => {
           context.fillRect(offset, start, thick, length);
           context.fillRect(start, offset, length, thick);
         });
+        context.globalAlpha = 1;
       });
     }
 
@@ -187,9 +189,9 @@
       const [x, y] = [fit("x", 18, width - 18), fit("y", 18, height - 34)];
       scale = (node) => [x(node.x), y(node.y)];
       const kind = (ends) =>
-        ends.every((k) => pair.isMember.has(k)) ? "accepted" : ends.every((k) => pair.isRival.has(k)) ? "rival" : "other";
+        ends.every((k) => pair.isMember.has(k)) ? (pair.accepted ? "accepted" : "refused") : ends.every((k) => pair.isRival.has(k)) ? "rival" : "other";
       const kinds = d3.group(found.links, kind);
-      ["other", "rival", "accepted"].forEach((one) => {
+      ["other", "rival", "refused", "accepted"].forEach((one) => {
         const links = kinds.get(one) || [];
         const every = Math.ceil(links.length / MOST_DRAWN) || 1;
         const path = links.filter((_, k) => k % every === 0).map((ends) => {
@@ -216,7 +218,7 @@
       };
       svg
         .selectAll("path.dot")
-        .data(d3.sort(nodes, (node) => ["rejected", "rival", "accepted"].indexOf(data.closures.fate[node.closure])))
+        .data(d3.sort(nodes, (node) => ["rejected", "rival", "refused", "accepted"].indexOf(data.closures.fate[node.closure])))
         .join("path")
         .attr("class", (node) => `dot ${data.closures.fate[node.closure]}${node.closure === state.picked ? " is-picked" : ""}`)
         .attr("transform", (node) => `translate(${scale(node)})`)

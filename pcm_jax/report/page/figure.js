@@ -12,6 +12,9 @@ pcm.redrawn = (host, draw) => {
   look();
 };
 
+// The most that a map of this width may be high.
+pcm.tallest = (width) => Math.max(280, Math.min(560, 1.1 * width));
+
 pcm.button = (text, label, action) => {
   const button = document.createElement("button");
   button.type = "button";
@@ -24,13 +27,13 @@ pcm.button = (text, label, action) => {
 // A plane of metres, both axes of one scale. `box` is [[x0, y0], [x1, y1]]; `layers` draws with the
 // scales as they are without zoom, `labels` again whenever the view moves.
 pcm.plane = (host, { label, box, axes, width, names }) => {
-  const margin = axes ? { top: 8, right: 8, bottom: 38, left: 52 } : { top: 8, right: 8, bottom: 8, left: 8 };
+  const margin = axes ? { top: 8, right: 8, bottom: 38, left: 52 } : { top: 8, right: 8, bottom: 30, left: 8 };
   const [[x0, y0], [x1, y1]] = box;
   const spread = Math.max(x1 - x0, y1 - y0, 1e-9);
   const dx = Math.max(x1 - x0, 0.3 * spread) * 1.06;
   const dy = Math.max(y1 - y0, 0.3 * spread) * 1.06;
   const inner = width - margin.left - margin.right;
-  const high = Math.min(Math.max((inner * dy) / dx, 150), Math.max(280, Math.min(540, 1.1 * inner)));
+  const high = Math.min(Math.max((inner * dy) / dx, 150), pcm.tallest(inner));
   const perMetre = Math.min(inner / dx, high / dy);
   const height = high + margin.top + margin.bottom;
   const middle = [(x0 + x1) / 2, (y0 + y1) / 2];
@@ -84,7 +87,7 @@ pcm.plane = (host, { label, box, axes, width, names }) => {
     } else {
       const metres = niceLength((0.22 * inner) / (perMetre * t.k));
       const pixels = metres * perMetre * t.k;
-      const [bx, by] = [width - 14 - pixels, height - 12];
+      const [bx, by] = [width - 14 - pixels, height - 8];
       bar.selectAll("*").remove();
       bar.append("path").attr("d", `M${bx},${by - 5}v5h${pixels}v-5`);
       bar.append("text").attr("x", bx + pixels / 2).attr("y", by - 8).attr("text-anchor", "middle").text(`${d3.format(",~g")(metres)} m`);
@@ -106,6 +109,8 @@ pcm.plane = (host, { label, box, axes, width, names }) => {
       moved();
     });
   svg.call(zoom).on("dblclick.zoom", null);
+  const head = host.closest("figure").querySelector("figcaption");
+  head.querySelectorAll(".zoom").forEach((old) => old.remove());
   const controls = document.createElement("div");
   controls.className = "zoom";
   controls.append(
@@ -113,7 +118,7 @@ pcm.plane = (host, { label, box, axes, width, names }) => {
     pcm.button("−", "Zoom out", () => svg.call(zoom.scaleBy, 1 / 1.6)),
     pcm.button("⤢", "Show all", () => svg.call(zoom.transform, d3.zoomIdentity)),
   );
-  host.append(controls);
+  head.prepend(controls);
   view.start = moved;
   moved();
   return view;

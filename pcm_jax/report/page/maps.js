@@ -2,7 +2,7 @@
 (() => {
   const { data, state } = pcm;
   const unit = data.unit;
-  const FATES = ["rejected", "rival", "accepted"];
+  const FATES = ["rejected", "rival", "refused", "accepted"];
 
   const points = (columns) => {
     const [u, v] = pcm.axes();
@@ -33,7 +33,7 @@
   // The clouds of robots and the ends of closures that a figure shows.
   function before(width) {
     const own = data.robots.map((robot) => points(robot.own));
-    const shifts = sideBySide(own.map((cloud) => boxOf([cloud])), width < 520 ? 1 : 1.25);
+    const shifts = sideBySide(own.map((cloud) => boxOf([cloud])), width / pcm.tallest(width));
     const ends = ["a", "b"].map((end) => {
       const cloud = points(data.closures[`own_${end}`]);
       return cloud.map((point, k) => {
@@ -121,7 +121,7 @@
     const k = state.picked;
     if (k === null || !shown.closures.includes(k)) return;
     const relations = pcm.relations(k);
-    if (relations && relations.ofAccepted) {
+    if (relations && relations.ofSet) {
       const against = relations.contradicts.filter((other) => shown.closures.includes(other));
       group.append("path").attr("class", "conflict-casing").attr("d", segments(view, shown, against));
       group.append("path").attr("class", "conflict").attr("d", segments(view, shown, against));
@@ -142,7 +142,7 @@
       const [x, y] = view.px(cloud[0]);
       view.over.append("circle").attr("class", `start robot-${robot % 4}`).attr("cx", x).attr("cy", y).attr("r", 4.5);
       const right = x > 0.7 * view.svg.attr("width");
-      view.over.append("text").attr("class", "robot-name").attr("x", x + (right ? -9 : 9)).attr("y", y - 7).attr("text-anchor", right ? "end" : "start").text(data.robots[robot].name);
+      view.over.append("text").attr("class", "robot-name").attr("x", x + (right ? -9 : 9)).attr("y", Math.max(y - 7, 22)).attr("text-anchor", right ? "end" : "start").text(data.robots[robot].name);
     });
     if (view.claim) {
       const [x, y] = view.px(view.claim);
@@ -159,7 +159,7 @@
   // The closure nearest to the pointer, at most 12 pixels away.
   function nearest(view, shown, pointer) {
     const visible = shown.closures.filter((k) => !state.hidden.has(data.closures.fate[k]));
-    const rank = { accepted: -2, rival: -1, rejected: 0 };
+    const rank = { accepted: -2, refused: -1, rival: -1, rejected: 0 };
     const away = (k) => {
       const [p, q] = [view.px(shown.ends[0][k]), view.px(shown.ends[1][k])];
       const along = [q[0] - p[0], q[1] - p[1]];

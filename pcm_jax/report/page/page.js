@@ -15,11 +15,11 @@
     const cells = [...row.cells];
     const heads = [...row.closest("table").tHead.rows[0].cells].map((cell) => cell.textContent);
     const list = make("dl", undefined, "making");
-    [1, 2, 4, 5, 6, 7].forEach((k) => {
+    [1, 4, 5, 6].forEach((k) => {
       if (cells[k].textContent === "–") return;
       list.append(make("dt", heads[k]), make("dd", cells[k].textContent));
     });
-    const source = cells[1].title;
+    const source = cells[1].dataset.source;
     if (source) list.append(make("dt", "Source"), make("dd", source));
     return list;
   }
@@ -30,7 +30,7 @@
     part.append(make("h3", title));
     const list = make("p", undefined, "chips");
     closures.slice(0, MOST_NAMED).forEach((k) => {
-      const mark = { accepted: "●", rival: "◆", rejected: "✕" }[data.closures.fate[k]];
+      const mark = { accepted: "●", refused: "○", rival: "◆", rejected: "✕" }[data.closures.fate[k]];
       const button = pcm.button(`${mark} ${k}`, `Closure ${k}, ${data.closures.fate[k]}`, () => pcm.pick(k));
       button.className = `chip ${data.closures.fate[k]}`;
       list.append(button);
@@ -58,7 +58,7 @@
     body.append(facts(row));
     const relations = pcm.relations(state.picked);
     if (relations) {
-      const some = relations.ofAccepted ? "accepted" : "closures";
+      const some = relations.ofSet ? relations.set : "of all";
       body.append(
         named(`Contradicts ${relations.contradicts.length} ${some}, the worst first`, relations.contradicts),
         named(`Agrees with ${relations.agrees.length} ${some}`, relations.agrees),

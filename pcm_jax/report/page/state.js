@@ -30,18 +30,19 @@ const pcm = (() => {
   const count = data.closures.fate.length;
   const pairOf = (closure) => data.pairs.findIndex((pair) => pair.place.has(closure));
 
-  // The closures that one agrees with and contradicts: the accepted ones of its two robots, or all
-  // of them where none is accepted; of an accepted one, of those that are not.
+  // The closures that one agrees with and contradicts: of the set found between its two robots, or,
+  // of a member of that set, of all.
   function relations(closure) {
     const pair = data.pairs[pairOf(closure)];
     if (!pair) return null;
     const at = pair.place.get(closure);
-    const accepted = pair.isMember.has(at);
+    const isMember = pair.isMember.has(at);
     const others = pair.closures.map((_, k) => k).filter((k) => k !== at);
-    const among = pair.members.length && !accepted ? pair.members : others;
+    const among = pair.members.length && !isMember ? pair.members : others;
     const worst = (i, j) => pair.level(at, j) - pair.level(at, i);
     return {
-      ofAccepted: pair.members.length > 0 && !accepted,
+      ofSet: pair.members.length > 0 && !isMember,
+      set: pair.accepted ? "accepted" : "found to agree",
       agrees: among.filter((k) => pair.agree(at, k)).map((k) => pair.closures[k]),
       contradicts: among.filter((k) => !pair.agree(at, k)).sort(worst).map((k) => pair.closures[k]),
     };

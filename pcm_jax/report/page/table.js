@@ -2,7 +2,7 @@
 pcm.startTable = () => {
   const table = document.getElementById("closures-table");
   const rows = [...table.tBodies[0].rows];
-  const text = new Map(rows.map((row) => [row, row.textContent.toLowerCase()]));
+  const text = new Map(rows.map((row) => [row, `${row.textContent} ${row.cells[1].dataset.source || ""}`.toLowerCase()]));
   const control = (name) => document.getElementById(name);
   new Tablesort(table);
   // The buttons in the heads take the keyboard, so the heads themselves need not.
