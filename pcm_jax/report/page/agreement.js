@@ -7,7 +7,7 @@
   const TICKS = 200;
 
   function matrix(host) {
-    let canvas, order, cell, size;
+    let canvas, order, cell, size, picture;
     const readout = document.createElement("p");
     readout.className = "readout";
     readout.setAttribute("role", "status");
@@ -33,10 +33,17 @@
       return chooser.value === "place" ? all : d3.sort(all, rank);
     }
 
+    // The picture of all distances takes long to paint, so it is kept until what it shows changes.
+    function repaint() {
+      const pair = data.pairs[state.pair];
+      order = ordered(pair);
+      picture = image(pair, pair.closures.length);
+      draw(Math.floor(host.clientWidth));
+    }
+
     function draw(width) {
       const pair = data.pairs[state.pair];
       const n = pair.closures.length;
-      order = ordered(pair);
       size = Math.min(width, 620) - BAR;
       cell = size / n;
       const ratio = window.devicePixelRatio || 1;
@@ -51,7 +58,7 @@
       const context = canvas.getContext("2d");
       context.scale(ratio, ratio);
       context.imageSmoothingEnabled = false;
-      context.drawImage(image(pair, n), BAR, BAR, size, size);
+      context.drawImage(picture, BAR, BAR, size, size);
       bars(context, pair);
       mark(context, pair);
       canvas.addEventListener("click", (event) => {
@@ -83,14 +90,15 @@
       const colour = (variable) => d3.rgb(style.getPropertyValue(variable).trim());
       const within = d3.interpolateRgb(colour("--near"), colour("--near-limit"));
       const beyond = d3.interpolateRgb(colour("--far-limit"), colour("--far"));
-      const table = d3.range(256).map((level) =>
-        d3.rgb(level < 128 ? within(level / 127) : beyond(Math.min((level - 128) / 80, 1))),
-      );
+      const bytes = new DataView(new ArrayBuffer(4));
+      const table = d3.range(256).map((level) => {
+        const { r, g, b } = d3.rgb(level < 128 ? within(level / 127) : beyond(Math.min((level - 128) / 80, 1)));
+        [r, g, b, 255].forEach((value, k) => bytes.setUint8(k, value));
+        return new Uint32Array(bytes.buffer)[0];
+      });
+      const filled = new Uint32Array(pixels.data.buffer);
       for (let i = 0; i < n; i += 1) {
-        for (let j = 0; j < n; j += 1) {
-          const { r, g, b } = table[pair.level(order[i], order[j])];
-          pixels.data.set([r, g, b, 255], 4 * (i * n + j));
-        }
+        for (let j = 0; j < n; j += 1) filled[i * n + j] = table[pair.level(order[i], order[j])];
       }
       context.putImageData(pixels, 0, 0);
       return small;
@@ -124,10 +132,11 @@
       });
     }
 
-    const again = () => draw(Math.floor(host.clientWidth));
+    repaint();
     pcm.redrawn(host, draw);
-    chooser.addEventListener("change", again);
-    ["pair", "pick", "theme"].forEach((event) => pcm.on(event, again));
+    chooser.addEventListener("change", repaint);
+    ["pair", "theme"].forEach((event) => pcm.on(event, repaint));
+    pcm.on("pick", () => draw(Math.floor(host.clientWidth)));
     pcm.on("pair", () => (readout.textContent = ""));
   }
 
@@ -135,6 +144,7 @@
     const layouts = new Map();
     let nodes = [];
     let scale = null;
+    let over = null;
 
     function layout(index) {
       if (layouts.has(index)) return layouts.get(index);
@@ -201,16 +211,7 @@
         const faint = Math.max(0.12, Math.min(0.8, 120 / Math.max(path.length, 1)));
         svg.append("path").attr("class", `link ${one}`).attr("opacity", faint).attr("d", path.join(""));
       });
-      const picked = state.picked === null ? undefined : pair.place.get(state.picked);
-      const chosen = found.at.get(picked);
-      if (chosen !== undefined) {
-        const from = scale(nodes[chosen]);
-        const path = found.links.filter((ends) => ends.includes(picked)).map((ends) => {
-          const other = ends[0] === picked ? ends[1] : ends[0];
-          return `M${from}L${scale(nodes[found.at.get(other)])}`;
-        });
-        svg.append("path").attr("class", "link picked-line").attr("d", path.join(""));
-      }
+      over = svg.append("path").attr("class", "link picked-line");
       const shape = (node) => {
         const fate = data.closures.fate[node.closure];
         const size = fate === "rejected" ? 34 : 62;
@@ -220,7 +221,7 @@
         .selectAll("path.dot")
         .data(d3.sort(nodes, (node) => ["rejected", "rival", "refused", "accepted"].indexOf(data.closures.fate[node.closure])))
         .join("path")
-        .attr("class", (node) => `dot ${data.closures.fate[node.closure]}${node.closure === state.picked ? " is-picked" : ""}`)
+        .attr("class", (node) => `dot ${data.closures.fate[node.closure]}`)
         .attr("transform", (node) => `translate(${scale(node)})`)
         .attr("d", shape)
         .append("title")
@@ -231,10 +232,24 @@
         const nearest = d3.least(nodes, away);
         if (nearest && away(nearest) < 20) pcm.pick(nearest.closure);
       });
+      mark();
     }
-    const again = () => draw(Math.floor(host.clientWidth));
+
+    // The picked closure and the lines to those that it agrees with.
+    function mark() {
+      if (!nodes.length) return;
+      const pair = data.pairs[state.pair];
+      const { at } = layout(state.pair);
+      const picked = state.picked === null ? undefined : pair.place.get(state.picked);
+      const friends = at.has(picked) ? nodes.filter(({ k }) => k !== picked && pair.agree(picked, k)) : [];
+      over.attr("d", friends.map((node) => `M${scale(nodes[at.get(picked)])}L${scale(node)}`).join(""));
+      d3.select(host)
+        .selectAll("path.dot")
+        .classed("is-picked", (node) => node.closure === state.picked);
+    }
     pcm.redrawn(host, draw);
-    ["pair", "pick"].forEach((event) => pcm.on(event, again));
+    pcm.on("pair", () => draw(Math.floor(host.clientWidth)));
+    pcm.on("pick", mark);
   }
 
   pcm.startAgreement = () => {

@@ -15,7 +15,7 @@ pcm.startCalibration = () => {
       svg.append("text").attr("class", "axis-name").attr("x", width - margin.right).attr("y", height - 6).attr("text-anchor", "end").text("if errors are as stated");
       svg.append("text").attr("class", "axis-name").attr("transform", `translate(12,${margin.top}) rotate(-90)`).attr("text-anchor", "end").text("as measured");
       svg.append("path").attr("class", "diagonal").attr("d", `M${x(0)},${y(0)}L${x(most)},${y(most)}`);
-      svg.append("path").attr("class", "ends accepted").attr("d", expected.map((value, k) => `M${x(value)},${y(observed[k])}h0`).join(""));
+      svg.append("path").attr("class", "ends accepted").attr("stroke-width", 5).attr("d", expected.map((value, k) => `M${x(value)},${y(observed[k])}h0`).join(""));
     });
   });
 };

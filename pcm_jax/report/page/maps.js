@@ -82,6 +82,7 @@
         plainA.map((point, k) => (a[k] === pair.b ? movedA[k] : point)),
         plainB.map((point, k) => (b[k] === pair.b ? movedB[k] : point)),
       ],
+      aside: "accepted",
       closures: pair.closures.filter((_, at) => pair.isRival.has(at) || pair.isMember.has(at)),
     };
   }
@@ -108,9 +109,12 @@
     FATES.filter((fate) => !state.hidden.has(fate)).forEach((fate) => {
       const some = shown.closures.filter((k) => data.closures.fate[k] === fate);
       if (!some.length) return;
-      const faint = fate === "rejected" ? Math.max(0.25, Math.min(0.8, 60 / Math.max(most, 1))) : 1;
+      const aside = fate === "rejected" || shown.aside === fate;
+      const faint = aside ? Math.max(0.15, Math.min(0.8, 60 / most)) : Math.max(0.4, Math.min(1, 150 / some.length));
       group.append("path").attr("class", `closure ${fate}`).attr("opacity", faint).attr("d", segments(view, shown, some));
-      if (fate !== "rejected") group.append("path").attr("class", `ends ${fate}`).attr("d", dots(view, shown, some));
+      if (fate === "rejected") return;
+      const thick = Math.max(2.5, Math.min(6, 6 * Math.sqrt(100 / some.length)));
+      group.append("path").attr("class", `ends ${fate}`).attr("stroke-width", thick).attr("d", dots(view, shown, some));
     });
   }
 
