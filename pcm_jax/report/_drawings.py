@@ -18,7 +18,8 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.consistency import chi2_gate
+from pcm_jax.consistency import chi2_gate, joint_consistency
+from pcm_jax.consistency.joint import thinned
 from pcm_jax.integrity import way_of
 from pcm_jax.merging import MergeResult
 from pcm_jax.report._facts import FATES, Facts, ends_of, found_members, ratios, rival_members
@@ -30,6 +31,8 @@ MOST_DISTANCES = 1_200_000
 """Distances that are drawn, of all pairs of robots; 1.6 MB."""
 MOST_CLOSURES = 1_000
 """Closures of one pair of robots whose distances are drawn."""
+ALIGNED = 60
+"""Closures of a refused set that its alignment is found from, evenly spaced."""
 STEPS = 12.0
 """Bytes to a doubling of q / γ beyond the gate."""
 ELLIPSE = 0.95
@@ -107,7 +110,6 @@ def _pair(pair: PairSelection, most: int) -> dict[str, Any]:
     graph = pair.consistent()[np.ix_(shown, shown)]
     apart = ratios(pair)
     known = None if apart is None else apart[np.ix_(shown, shown)]
-    alignment = pair.verdict.rival.joint.alignment if rival.any() else None
     return {
         "a": pair.robot_a,
         "b": pair.robot_b,
@@ -119,9 +121,19 @@ def _pair(pair: PairSelection, most: int) -> dict[str, Any]:
         "limit": math.sqrt(pair.gate),
         "measured": known is not None,
         "distances": _packed(graph, known),
-        "alignment": None
-        if alignment is None
-        else np.asarray(lie.as_matrix(lie.as_numpy(alignment))).tolist(),
+        "alignments": _alignments(pair) if rival.any() else {},
+    }
+
+
+def _alignments(pair: PairSelection) -> dict[str, list[list[float]]]:
+    """Where the rival puts map b in map a, and where the set found does if it was refused."""
+    implied = {"rival": pair.verdict.rival.joint.alignment}
+    if not pair.accepted.any():
+        found = thinned(np.flatnonzero(found_members(pair)), ALIGNED)
+        implied = {"found": joint_consistency(pair.evidence, found).alignment, **implied}
+    return {
+        name: np.asarray(lie.as_matrix(lie.as_numpy(alignment))).tolist()
+        for name, alignment in implied.items()
     }
 
 

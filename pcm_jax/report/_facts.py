@@ -74,8 +74,9 @@ def rival_members(pair: PairSelection) -> np.ndarray:
 
 def found_members(pair: PairSelection) -> np.ndarray:
     """The closures `[k]` of the set that the method found, accepted or not; one is no set."""
-    alone = pair.members is None or np.count_nonzero(pair.members) < 2
-    return pair.accepted if alone else pair.members
+    if pair.members is None or np.count_nonzero(pair.members) < 2:
+        return pair.accepted
+    return pair.members
 
 
 def ratios(pair: PairSelection) -> Float[np.ndarray, "k k"] | None:

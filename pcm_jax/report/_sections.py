@@ -126,36 +126,56 @@ def agreement_section(drawn: dict[str, Any]) -> Markup | None:
     )
 
 
+def _rival_figures(
+    k: int, pair: dict[str, Any], report: dict[str, Any], drawn: dict[str, Any]
+) -> list[Markup]:
+    """Two robots' maps by the rival, and by the set found where that was refused."""
+    if not pair["alignments"]:
+        return []
+    a, b = (drawn["robots"][pair[end]]["name"] for end in "ab")
+    row = next(row for row in report["robot_pairs"] if (row["a"], row["b"]) == (a, b))
+    rival = row["rival"]
+    chance = "" if rival["chance"] is None else f", chance p = {number(rival['chance'], 2)}"
+    weight = "clearly weaker than the set found"
+    if row["ambiguous"]:
+        weight = "about as strong as the set found: the answer is ambiguous"
+    told = {
+        "found": f"{_size(row['found'], row['places'])}; refused.",
+        "rival": f"{_size(rival['size'], rival['places'])}{chance}; {weight}.",
+    }
+    titles = {"found": f"{a} and {b} by the set found", "rival": f"{a} and {b} by the rival"}
+    return [
+        _figure("rival", titles[by], element("p", told[by]), data_pair=k, data_by=by)
+        for by in pair["alignments"]
+    ]
+
+
+def _size(closures: int, places: int) -> str:
+    return f"{counted(closures, 'closure')} at {counted(places, 'place')}"
+
+
 def rivals_section(report: dict[str, Any], drawn: dict[str, Any]) -> Markup | None:
     """The maps put together as the rival set of closures wants it."""
-    names = [robot["name"] for robot in drawn["robots"]]
-    rows = {(pair["a"], pair["b"]): pair for pair in report["robot_pairs"]}
-    figures = []
-    for k, pair in enumerate(drawn["pairs"]):
-        if pair["alignment"] is None:
-            continue
-        a, b = names[pair["a"]], names[pair["b"]]
-        rival = rows[a, b]["rival"]
-        chance = "" if rival["chance"] is None else f", chance p = {number(rival['chance'], 2)}"
-        weight = (
-            "about as strong: the answer is ambiguous"
-            if rows[a, b]["ambiguous"]
-            else ("clearly weaker than what was accepted")
-        )
-        told = (
-            f"{counted(rival['size'], 'closure')} at {counted(rival['places'], 'place')}{chance};"
-            f" {weight}."
-        )
-        figures.append(
-            _figure("rival", f"{a} and {b} by the rival", element("p", told), data_pair=k)
-        )
+    figures = [
+        figure
+        for k, pair in enumerate(drawn["pairs"])
+        for figure in _rival_figures(k, pair, report, drawn)
+    ]
     if not figures:
         return None
+    how = (
+        "The same two maps, put together by the best set of closures that wants another alignment:"
+        " if this map looks right to you, the answer above is wrong."
+    )
+    if any("found" in pair["alignments"] for pair in drawn["pairs"]):
+        how += (
+            " Where the set found was refused, the maps are drawn as it would have them as well: if"
+            " one of the two looks right to you, merge by its closures."
+        )
     return _section(
         "rivals",
         "The rival",
-        "The same two maps, put together by the best set of closures that wants another alignment:"
-        " if this map looks right to you, the answer above is wrong.",
+        how,
         element("div", *figures, class_="figures"),
     )
 

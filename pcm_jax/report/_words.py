@@ -75,7 +75,11 @@ def answer(report: dict[str, Any]) -> Iterator[str]:
     if kept and apart:
         names = [group[0] for group in apart]
         yield f"No accepted closure leads to {listed(names)}: {_it(names)} a frame of its own."
-    refused = [pair for pair in report["robot_pairs"] if not pair["accepted"] and pair.get("why")]
+    refused = [
+        pair
+        for pair in report["robot_pairs"]
+        if not pair["accepted"] and pair.get("why") and not pair["ambiguous"]
+    ]
     if len(refused) > SAID:
         yield f"Why not, of {len(refused)} pairs of robots, stands below, robot by robot."
     else:

@@ -144,7 +144,7 @@ def test_the_rivals_alignment_joins_its_closures(merged, drawn):
     if not pair["rival"]:
         pytest.skip("no rival in this world")
     group = merged.graph.group
-    alignment = group.from_matrix(np.array(pair["alignment"]))
+    alignment = group.from_matrix(np.array(pair["alignments"]["rival"]))
     for k in np.array(pair["closures"])[pair["rival"]]:
         ends = [
             group(np.asarray(lie.parameters(merged.maps[int(robot[k])].poses))[int(pose[k])])

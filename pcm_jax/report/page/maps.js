@@ -59,14 +59,15 @@
     };
   }
 
-  function byRival(index) {
+  function aligned(index, by) {
     const pair = data.pairs[index];
+    const alignment = pair.alignments[by];
     const moved = (columns) => {
       const space = columns.length;
       const rows = d3.range(space).map((i) =>
         columns[0].map((_, k) => {
-          const sum = d3.sum(d3.range(space), (j) => pair.alignment[i][j] * columns[j][k]);
-          return sum + pair.alignment[i][space] / unit;
+          const sum = d3.sum(d3.range(space), (j) => alignment[i][j] * columns[j][k]);
+          return sum + alignment[i][space] / unit;
         }),
       );
       return points(rows);
@@ -82,7 +83,7 @@
         plainA.map((point, k) => (a[k] === pair.b ? movedA[k] : point)),
         plainB.map((point, k) => (b[k] === pair.b ? movedB[k] : point)),
       ],
-      aside: "accepted",
+      aside: by === "rival" ? (pair.accepted ? "accepted" : "refused") : "rival",
       closures: pair.closures.filter((_, at) => pair.isRival.has(at) || pair.isMember.has(at)),
     };
   }
@@ -142,11 +143,15 @@
 
   function drawLabels(view, shown) {
     view.over.selectAll("*").remove();
+    const labels = [];
     shown.clouds.forEach(({ robot, cloud }) => {
       const [x, y] = view.px(cloud[0]);
+      let height = Math.max(y - 7, 22);
+      while (labels.some(([u, v]) => Math.abs(u - x) < 60 && Math.abs(v - height) < 15)) height += 15;
+      labels.push([x, height]);
       view.over.append("circle").attr("class", `start robot-${robot % 4}`).attr("cx", x).attr("cy", y).attr("r", 4.5);
       const right = x > 0.7 * view.svg.attr("width");
-      view.over.append("text").attr("class", "robot-name").attr("x", x + (right ? -9 : 9)).attr("y", Math.max(y - 7, 22)).attr("text-anchor", right ? "end" : "start").text(data.robots[robot].name);
+      view.over.append("text").attr("class", "robot-name").attr("x", x + (right ? -9 : 9)).attr("y", height).attr("text-anchor", right ? "end" : "start").text(data.robots[robot].name);
     });
     if (view.claim) {
       const [x, y] = view.px(view.claim);
@@ -213,7 +218,7 @@
     const index = Number(host.dataset.group || host.dataset.pair || 0);
     let view, shown;
     const build = (width) => {
-      shown = { before: () => before(width), after: () => after(index), rival: () => byRival(index), anchors: () => after(index) }[kind]();
+      shown = { before: () => before(width), after: () => after(index), rival: () => aligned(index, host.dataset.by), anchors: () => after(index) }[kind]();
       const robots = shown.clouds.map(({ robot }) => data.robots[robot].name).join(" and ");
       view = pcm.plane(host, {
         label: `${title}: map of ${robots}${kind === "anchors" ? "" : `, ${shown.closures.length} closures`}. The table below lists every closure.`,
