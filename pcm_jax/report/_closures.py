@@ -142,10 +142,8 @@ def _row(row: dict[str, Any], facts: Facts, pair: int, of_pair: dict[str, Any]) 
 
 
 def _conflict(facts: Facts, index: int) -> str:
-    ratio = float(facts.ratio[index])
-    return (
-        "–" if math.isnan(ratio) else f"{number(ratio, 2)}{CLOSE}× with{CLOSE}{facts.worst[index]}"
-    )
+    ratio, worst = float(facts.ratio[index]), facts.worst[index]
+    return "–" if math.isnan(ratio) else f"{number(ratio, 2)}{CLOSE}× with{CLOSE}{worst}"
 
 
 def _number(text: str, value: float) -> Markup:

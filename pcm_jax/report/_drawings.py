@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from pcm_jax.consistency.joint import thinned
 from pcm_jax.integrity import way_of
 from pcm_jax.merging import MergeResult
 from pcm_jax.report._facts import FATES, Facts, ends_of, found_members, ratios, rival_members
+from pcm_jax.report._words import more
 from pcm_jax.selection import PairSelection
 
 MOST_POSES = 20_000
@@ -39,8 +41,16 @@ ELLIPSE = 0.95
 """Probability inside the ellipses of the anchors."""
 
 
-def drawings(result: MergeResult, facts: Facts) -> dict[str, Any]:
-    """Gathers what the page draws, as plain data."""
+def drawings(
+    result: MergeResult, facts: Facts, rows: Sequence[dict[str, Any]] = ()
+) -> dict[str, Any]:
+    """Gathers what the page draws, as plain data.
+
+    Args:
+        result: of `merge`.
+        facts: on its closures.
+        rows: of the report, one a closure, for what they tell besides.
+    """
     own, merged = (_positions(maps) for maps in (result.maps, result.graph.maps))
     unit = _unit([*own, *merged])
     every = max(1, math.ceil(sum(map(len, own)) / MOST_POSES))
@@ -58,7 +68,7 @@ def drawings(result: MergeResult, facts: Facts) -> dict[str, Any]:
             for robot, one in enumerate(result.graph.maps)
         ],
         "groups": [list(members) for members in result.groups],
-        "closures": _closures(result, facts, unit),
+        "closures": _closures(result, facts, unit) | {"more": [more(row) for row in rows]},
         "pairs": [_pair(pair, _most(len(pairs))) for pair in pairs],
         "anchors": _anchors(result, unit),
     }
@@ -126,7 +136,7 @@ def _pair(pair: PairSelection, most: int) -> dict[str, Any]:
 
 
 def _alignments(pair: PairSelection) -> dict[str, list[list[float]]]:
-    """Where the rival puts map b in map a, and where the set found does if it was refused."""
+    """The pose of map b in map a by the rival, and by the set found if that was refused."""
     implied = {"rival": pair.verdict.rival.joint.alignment}
     if not pair.accepted.any():
         found = thinned(np.flatnonzero(found_members(pair)), ALIGNED)
@@ -188,7 +198,7 @@ def _anchors(result: MergeResult, unit: float) -> list[dict[str, Any] | None]:
         turn = turn[:space, :space]
         rows.append(
             None
-            if robot == placed[robot]
+            if robot == placed[robot] or not np.isfinite(covariances[robot]).all()
             else {
                 "robot": robot,
                 "middle": np.rint(middle / unit).astype(np.int64).tolist(),

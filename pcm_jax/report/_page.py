@@ -54,7 +54,7 @@ def page(result: MergeResult, report: dict[str, Any]) -> str:
         report: of `MergeResult.report`, with whatever else is known.
     """
     facts = facts_of(result)
-    drawn = drawings(result, facts)
+    drawn = drawings(result, facts, report["closures"])
     if report.get("calibration"):
         drawn["quantiles"] = report["calibration"].get("quantiles")
     sections = {

@@ -183,6 +183,7 @@ def rivals_section(report: dict[str, Any], drawn: dict[str, Any]) -> Markup | No
 def groups_section(report: dict[str, Any], drawn: dict[str, Any]) -> Markup:
     """Groups, anchors, and how well each map is tied to its group."""
     heads = ("Robot", "Group", "Poses", "Edges", "Anchor", "Place known to")
+    leaders = {group[0] for group in report["groups"]}
     group_of = {name: k for k, group in enumerate(report["groups"], 1) for name in group}
     rows = []
     for robot, anchor, tied in zip(
@@ -193,7 +194,7 @@ def groups_section(report: dict[str, Any], drawn: dict[str, Any]) -> Markup:
             robot["poses"],
             robot["edges"],
             _anchor(anchor),
-            _sigma(tied) if tied else "by itself" if anchor is None else "its group’s frame",
+            _tie(anchor, tied, leads=robot["name"] in leaders),
         )
         rows.append(
             element(
@@ -235,7 +236,12 @@ def _anchor(anchor: dict[str, float] | None) -> str:
     return f"({where}) m, turned {number(float(np.degrees(turned)))}°"
 
 
-def _sigma(tied: dict[str, Any]) -> str:
+def _tie(anchor: dict[str, float] | None, tied: dict[str, Any] | None, *, leads: bool) -> str:
+    """The certainty of a map's place in its group."""
+    if anchor is None:
+        return "by itself"
+    if tied is None:
+        return "its group’s frame" if leads else "unknown"
     largest = float(np.sqrt(np.linalg.eigvalsh(np.asarray(tied["covariance"])).max()))
     return f"± {number(largest, 2)} m (standard deviation, worst direction)"
 
@@ -288,7 +294,7 @@ def _interval(value: Any) -> str:
 
 
 def making_section(report: dict[str, Any]) -> Markup:
-    """How the answer was made: method, gate, version, times."""
+    """The making of the answer: method, gate, version, times."""
     solution = report["solution"]
     facts = {
         "Method": report["method"],

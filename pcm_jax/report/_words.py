@@ -136,7 +136,34 @@ def _rejection(index: int, facts: Facts, pair: dict[str, Any] | None, off: str) 
     return f"{told}.{off and f' If these are right, it is off by {off}.'}"
 
 
+def more(row: dict[str, Any]) -> list[list[str]]:
+    """What a report's row has besides of a closure, as terms and texts; nothing of an old report.
+
+    Args:
+        row: of `MergeResult.report()["closures"]`, where its loops were explained.
+    """
+    told, worst, fit = [], row.get("worst_conflict"), row.get("fit")
+    if row.get("standing"):
+        told.append(["Standing", row["standing"]])
+    if worst:
+        miss = f"{number(worst['translation'], 2)} m, {number(worst['rotation'], 2)}°"
+        if "translation_sigma" in worst:
+            sigmas = (
+                f"{number(worst['translation_sigma'], 2)} m, {number(worst['rotation_sigma'], 2)}°"
+            )
+            miss += f" (standard deviations {sigmas})"
+        told.append([f"Loop with {worst['with']}", f"misses by {miss}"])
+        if worst.get("shares"):
+            shares = ", ".join(f"{k} {100.0 * v:.0f} %" for k, v in worst["shares"].items())
+            told.append(["Uncertain through", shares])
+    if row.get("enters_at") is not None:
+        told.append(["Enters at", f"confidence {number(row['enters_at'], 6)}"])
+    if fit:
+        told.append(["Merged", f"χ² {number(fit['chi2'])}, p = {number(fit['p'], 2)}"])
+    return told
+
+
 def off_by(facts: Facts, index: int) -> str:
-    """How far a closure misses in the merged maps; nothing where they are not in one frame."""
+    """The miss of a closure in the merged maps; nothing where they are not in one frame."""
     away, turned = float(facts.away[index]), float(facts.turned[index])
     return "" if math.isnan(away) else f"{number(away, 2)}{CLOSE}m, {number(turned, 2)}°"

@@ -19,6 +19,8 @@
       if (cells[k].textContent === "–") return;
       list.append(make("dt", heads[k]), make("dd", cells[k].textContent));
     });
+    const more = data.closures.more[Number(row.dataset.closure)] || [];
+    more.forEach(([term, text]) => list.append(make("dt", term), make("dd", text)));
     const source = cells[1].dataset.source;
     if (source) list.append(make("dt", "Source"), make("dd", source));
     return list;
