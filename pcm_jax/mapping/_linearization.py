@@ -44,6 +44,11 @@ class Edges(eqx.Module):
     measurement: lie.Transform  # type: ignore[valid-type]
     whitening: Float[Array, "d d e"]
 
+    def cut(self, count: int) -> Edges:
+        """The first edges, without padding."""
+        measurement = lie.take(self.measurement, slice(0, count))
+        return Edges(self.tail[:count], self.head[:count], measurement, self.whitening[..., :count])
+
 
 class EdgeJacobians(NamedTuple):
     """Whitened residuals and Jacobians of all edges.
@@ -178,7 +183,8 @@ def retract(poses: Any, step: Float[Array, "n d"]) -> Any:
     """X exp(δ), scaled back to the group so that rounding does not add up."""
     kind = lie.group_of(poses)
     group = lie.module_of(kind)
-    moved = group.compose(lie.components(poses), group.exp(tuple(jnp.moveaxis(step, -1, 0))))
+    xp = namespace(step)
+    moved = group.compose(lie.components(poses), group.exp(tuple(xp.moveaxis(step, -1, 0))))
     return lie.from_components(kind, group.normalize(moved))
 
 

@@ -171,7 +171,7 @@ def system_of(pattern: Sequence[np.ndarray], block_dim: int) -> System:
     return system_for(poses, tail[:edges], head[:edges], ~free[:poses], block_dim)
 
 
-def _solve_on_host(out: np.ndarray, *arguments: np.ndarray) -> None:
+def solve_on_host(out: np.ndarray, *arguments: np.ndarray) -> None:
     """Body of the callback: δ into `out`, NaN if there is no factor."""
     *pattern, damping, products, gradients, below = arguments
     system = system_of(pattern, products.shape[-1])
@@ -230,7 +230,7 @@ class BlockCholesky(_NormalEquationsSolver):
         jacobian = equations.damped.jacobian
         pattern = jacobian.tail, jacobian.head, jacobian.free, jacobian.counts
         numbers = equations.damped.damping, *equations.products, equations.below
-        step = call_host(_solve_on_host, state.in_structure(), *pattern, *numbers)
+        step = call_host(solve_on_host, state.in_structure(), *pattern, *numbers)
         return self._status(step)
 
 

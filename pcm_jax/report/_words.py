@@ -10,6 +10,8 @@ from pcm_jax.report._facts import ACCEPTED, REFUSED, RIVAL, UNKNOWN, Facts
 
 SAID = 2
 """Refused pairs of robots whose reasons the answer gives itself."""
+USABLE = 1.0 - 1e-6
+"""Confidence above which a gate lets nearly everything in."""
 CLOSE = "\N{NO-BREAK SPACE}"
 FOUND = "closure found to agree", "closures found to agree"
 
@@ -155,12 +157,16 @@ def more(row: dict[str, Any]) -> list[list[str]]:
         told.append([f"Loop with {worst['with']}", f"misses by {miss}"])
         if worst.get("shares"):
             shares = ", ".join(f"{k} {100.0 * v:.0f} %" for k, v in worst["shares"].items())
-            told.append(["Uncertain through", shares])
+            told.append(["Uncertainty from", shares])
     if row.get("enters_at") is not None:
-        told.append(["Enters at", f"confidence {number(row['enters_at'], 6)}"])
+        told.append(["Enters at", _confidence(row["enters_at"])])
     if fit:
-        told.append(["Merged", f"χ² {number(fit['chi2'])}, p = {number(fit['p'], 2)}"])
+        told.append(["In the merged map", f"χ² {number(fit['chi2'])}, p = {number(fit['p'], 2)}"])
     return told
+
+
+def _confidence(value: float) -> str:
+    return "no usable confidence" if value > USABLE else f"confidence {number(value, 6)}"
 
 
 def off_by(facts: Facts, index: int) -> str:
