@@ -13,6 +13,7 @@ SAID = 2
 USABLE = 1.0 - 1e-6
 """Confidence above which a gate lets nearly everything in."""
 CLOSE = "\N{NO-BREAK SPACE}"
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 FOUND = "closure found to agree", "closures found to agree"
 
 
@@ -27,7 +28,7 @@ def number(value: float | None, digits: int = 3) -> str:
         text = f"{float(text):,.0f}" if "e" in text else text
     else:
         mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
-        text = f"{mantissa} × 10^{int(power)}"
+        text = f"{mantissa} × 10{str(int(power)).translate(RAISED)}"
     return text.replace("-", "−")
 
 

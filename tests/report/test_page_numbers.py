@@ -10,7 +10,7 @@ from pcm_jax.integrity import way_of
 from pcm_jax.report import _drawings as drawing
 from pcm_jax.report._drawings import drawings
 from pcm_jax.report._facts import FATES, UNKNOWN, facts_of
-from pcm_jax.report._words import closure_sentence, counted, listed, number
+from pcm_jax.report._words import closure_sentence, counted, listed, more, number
 
 
 @pytest.fixture(scope="module", params=["SE2", "SE3"])
@@ -213,14 +213,39 @@ def test_sentences_say_why(result):
         (0.98765, "0.988"),
         (-12.345, "−12.3"),
         (12345.6, "12,300"),
-        (1e-9, "1 × 10^-9".replace("-", "−")),
+        (1e-9, "1.00 × 10⁻⁹"),
     ],
 )
 def test_numbers_are_for_people(value, text):
-    assert number(value).replace("1.00", "1") == text
+    assert number(value) == text
 
 
 def test_words():
     assert counted(1, "closure") == "1 closure"
     assert counted(1200, "closure") == "1,200 closures"
     assert listed(["a", "b", "c"]) == "a, b and c"
+
+
+def test_what_is_explained_besides_is_told():
+    row = {
+        "standing": "near miss",
+        "worst_conflict": {
+            "with": 4,
+            "translation": 12.34,
+            "translation_sigma": 0.5,
+            "rotation": 45.6,
+            "rotation_sigma": 1.0,
+            "shares": {"a": 0.25, "b": 0.5, "closures": 0.25},
+        },
+        "enters_at": 0.9995,
+        "fit": {"chi2": 31.25, "p": 1e-6},
+    }
+    assert more(row) == [
+        ["Standing", "near miss"],
+        ["Loop with 4", "misses by 12 m, 46° (standard deviations 0.5 m, 1°)"],
+        ["Uncertainty from", "a 25 %, b 50 %, closures 25 %"],
+        ["Enters at", "confidence 0.9995"],
+        ["In the merged map", "χ² 31.2, p = 1.0 × 10⁻⁶"],
+    ]
+    assert more({"enters_at": 1.0}) == [["Enters at", "no usable confidence"]]
+    assert more({}) == []

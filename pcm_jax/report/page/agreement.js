@@ -190,7 +190,8 @@
         .attr("role", "img")
         .attr("aria-label", `Graph of ${nodes.length} closures and ${found.links.length} pairs that agree; ${found.alone} closures agree with no other.`);
       const note = svg.append("text").attr("class", "axis-name").attr("x", 6).attr("y", height - 6);
-      note.text(`${found.links.length} pairs agree; ${found.alone} closures agree with none`);
+      const many = (count, one, several) => `${count} ${count === 1 ? one : several}`;
+      note.text(`${many(found.links.length, "pair agrees", "pairs agree")}; ${many(found.alone, "closure agrees", "closures agree")} with no other`);
       if (!nodes.length) return;
       const fit = (axis, low, high) => {
         const [a, b] = d3.extent(nodes, (node) => node[axis]);
