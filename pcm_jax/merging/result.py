@@ -13,7 +13,9 @@ from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.integrity import Explanation, StrainedEdge, explain, strained_edges
 from pcm_jax.mapping import MapCovariance
+from pcm_jax.merging._one_more_or_less import anchor_shift
 from pcm_jax.merging._strain import strain
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
@@ -173,6 +175,32 @@ class MergeResult:
         covariance, first = self._covariance_of[robot]
         return covariance.joint(first + wanted)
 
+    def explain(self, index: int) -> Explanation:
+        """Explains what was made of a candidate closure; `InputError` for one that is not there.
+
+        print(result.explain(17).sentence)
+        """
+        return explain(self, index)[0]
+
+    def strained_edges(self, count: int = 5) -> list[StrainedEdge]:
+        """Finds the edges of the robots' own maps that merging has strained most, by χ²."""
+        return strained_edges(self.graph.maps, count)
+
+    @on_host
+    def anchor_shift(self, index: int) -> Float[np.ndarray, "robots d"]:
+        """The shift ε of each anchor, T exp(ε), if one closure had been decided the other way.
+
+        To first order and without a solve: an accepted closure is taken out, another put in, which
+        is coarse where it misses by far. NaN in a group that nothing else holds together.
+
+        Args:
+            index: among the candidates.
+
+        Raises:
+            InputError: for one that is not there, or between robots that are not merged.
+        """
+        return anchor_shift(self, index)
+
     @property
     def _space(self) -> int:
         return 2 if self.graph.tangent_dim == 3 else 3
@@ -261,8 +289,9 @@ class MergeResult:
                 "b": maps[b].pose_name(k),
                 "source": str(closures.source[index]),
                 "accepted": bool(self.accepted[index]),
+                **told.as_dict(),
             }
-            for index, (a, i, b, k) in enumerate(ends)
+            for told, (index, (a, i, b, k)) in zip(explain(self), enumerate(ends), strict=True)
         ]
 
     def _pair_rows(self) -> list[dict[str, Any]]:
