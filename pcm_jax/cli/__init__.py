@@ -5,6 +5,8 @@ _arguments   the options of all commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
 demo, explain, formats, inspect, merge, simulate     a module per command, with a `run(arguments)`
+_summary     the text that a merge prints
+_advice      the one thing to do next, where something about a merge is odd
 _reports     reports of merges, read again
 _hints       options that mend a fit that cannot be meant, followed before they are named
 _outputs     where results may be written, checked before anything is computed

@@ -164,6 +164,9 @@ def _merge(commands: Any) -> None:
         ("plot", "a picture of the merged maps"),
     ):
         merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")
+    merge.add_argument(
+        "--json", action="store_true", help="print the report as JSON instead of text"
+    )
     _seed(merge, "of the shuffles that --minimum-inliers chance makes (default: 0)", None)
 
 

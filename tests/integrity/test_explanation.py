@@ -26,6 +26,7 @@ from pcm_jax import (
 from pcm_jax.consistency.definition import loop_error
 from pcm_jax.integrity import STANDINGS, explain
 from pcm_jax.integrity._loops import Loops
+from pcm_jax.integrity._sentences import confidence, number
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 SIMULATED = {"SE2": simulate_city, "SE3": simulate_sessions}
@@ -432,3 +433,17 @@ def test_the_report_has_what_explanations_have(group):
         assert row["why"] == one.sentence
         assert row["worst_conflict"]["with"] == one.worst_conflict.index
         assert "\n" not in row["why"]
+
+
+def test_numbers_can_be_read():
+    given = (12.345, 0.8123, 40.04, 123.6, 12345.6, 0.00012, 0.0, float("nan"))
+    told = ["12.3", "0.812", "40", "124", "12346", "0.00012", "0", "unknown"]
+    assert [number(value) for value in given] == told
+    assert (number(0.8123, 2), number(2.04, 2), number(11.6, 2)) == ("0.81", "2", "12")
+
+
+def test_a_confidence_has_as_many_nines_as_it_needs():
+    for value, told in ((0.9, "0.90"), (0.9938, "0.9938"), (0.99991, "0.99991")):
+        assert confidence(value) == told
+    for value in (0.72139, 0.980894, 0.99123456, 1.0 - 3.3e-8):
+        assert 0.0 <= float(confidence(value)) - value <= 0.1 * (1.0 - value)
