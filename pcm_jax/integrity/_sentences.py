@@ -142,4 +142,4 @@ def _tail(told: Any) -> str:
 def confidence(value: float) -> str:
     """A confidence with as many nines as it needs, rounded up."""
     digits = max(2, 1 - math.floor(math.log10(1.0 - value)))
-    return f"{math.ceil(value * 10**digits) / 10**digits:.{digits}f}"
+    return f"{math.ceil(value * 10**digits) / 10**digits:.{digits}f}".rstrip("0")

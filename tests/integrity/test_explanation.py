@@ -195,11 +195,11 @@ def test_a_closure_enters_where_it_is_said_to(group):
         row = int(np.searchsorted(pair.closures, one.index))
         accepted = result.accepted[pair.closures]
         accepted[row] = False
-        for confidence, enters in (
+        for inside, enters in (
             (one.enters_at * (1 + 1e-9), True),
             (one.enters_at * 0.999, False),
         ):
-            gate = chi2_gate(min(confidence, 1.0 - 1e-12), evidence.tangent_dim)
+            gate = chi2_gate(min(inside, 1.0 - 1e-12), evidence.tangent_dim)
             assert consistency_graph(pair.squared, gate)[row, accepted].all() == enters
     assert seen > 10
 
@@ -443,7 +443,7 @@ def test_numbers_can_be_read():
 
 
 def test_a_confidence_has_as_many_nines_as_it_needs():
-    for value, told in ((0.9, "0.90"), (0.9938, "0.9938"), (0.99991, "0.99991")):
+    for value, told in ((0.9, "0.9"), (0.9938, "0.9938"), (0.99991, "0.99991")):
         assert confidence(value) == told
     for value in (0.72139, 0.980894, 0.99123456, 1.0 - 3.3e-8):
         assert 0.0 <= float(confidence(value)) - value <= 0.1 * (1.0 - value)
