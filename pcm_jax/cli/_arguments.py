@@ -56,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     _demo(commands)
     _merge(commands)
     _inspect(commands)
+    _explain(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
@@ -164,6 +165,9 @@ def _merge(commands: Any) -> None:
         ("plot", "a picture of the merged maps"),
     ):
         merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")
+    merge.add_argument(
+        "--json", action="store_true", help="print the report as JSON instead of text"
+    )
     _seed(merge, "of the shuffles that --minimum-inliers chance makes (default: 0)", None)
 
 
@@ -175,6 +179,21 @@ def _inspect(commands: Any) -> None:
     )
     inspect.add_argument("--json", action="store_true", help="print JSON instead of text")
     _reading(inspect)
+
+
+def _explain(commands: Any) -> None:
+    explain = _command(
+        commands,
+        "explain",
+        "Say why a closure was accepted or dropped, from the report of a merge.",
+    )
+    explain.add_argument(
+        "report", type=Path, metavar="REPORT", help="what pcm-jax merge --report wrote"
+    )
+    explain.add_argument(
+        "closure", type=int, metavar="CLOSURE", help="its index in the report, from 0 on"
+    )
+    explain.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
 def _simulate(commands: Any) -> None:

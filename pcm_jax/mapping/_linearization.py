@@ -13,12 +13,12 @@ arrays in NumPy are linearised in NumPy, by the same formulas.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +30,9 @@ from pcm_jax.arrays import namespace
 T = TypeVar("T")
 
 
-class Edges(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Edges:
     """The edges of a least-squares problem, padded; padded edges have zero `whitening`.
 
     Attributes:

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pcm_jax import lie
+from pcm_jax.mapping._host_step import solve_on_host
 from pcm_jax.mapping._linearization import Edges, edge_products, linearize, retract
-from pcm_jax.mapping._normal_equations import solve_on_host
 
 ROUNDING = 16
 """Units in the last place of the farthest coordinate: a step's product of several roundings."""

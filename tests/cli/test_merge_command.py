@@ -58,7 +58,10 @@ def test_the_report_has_the_contracts_fields(report):
     assert report["gate"] == pytest.approx(11.344866730144373)  # SciPy's chi2.ppf(0.99, 3)
     assert [list(robot) for robot in report["robots"]] == [["name", "poses", "edges"]] * 2
     assert [robot["poses"] for robot in report["robots"]] == [60, 60]
-    fields = ["index", "a", "b", "source", "accepted"]
+    fields = [
+        *("index", "a", "b", "source", "accepted", "why", "standing", "agrees_with", "of", "among"),
+        *("agreeing", "worst_conflict", "enters_at", "fit"),
+    ]
     assert all(list(closure) == fields for closure in report["closures"])
     (pair,) = report["robot_pairs"]
     assert list(pair) == [
