@@ -1,7 +1,7 @@
 """The report of a merge as one HTML page that needs nothing else: no network, no other file.
 
-    _facts       fate, agreement and error of every closure
-    _words       the answer, and why each closure was accepted or not, in sentences
+    _facts       fate and error of every closure
+    _words       the answer in sentences, numbers, and what is told of a closure
     _elements    elements of HTML, all text in them escaped
     _answer      the first screen: the answer, its figures, a row for each pair of robots
     _closures    the table of closures

@@ -10,7 +10,7 @@ import numpy as np
 from pcm_jax.merging import MergeResult
 from pcm_jax.report._elements import Markup, element
 from pcm_jax.report._facts import FATES, Facts
-from pcm_jax.report._words import CLOSE, closure_sentence, counted, number, off_by
+from pcm_jax.report._words import CLOSE, counted, number, off_by
 
 TOLD = {
     "accepted": "● accepted",
@@ -60,7 +60,7 @@ def closures_section(result: MergeResult, report: dict[str, Any], facts: Facts) 
                 element(
                     "tbody",
                     *(
-                        _row(row, facts, k, report["robot_pairs"][k])
+                        _row(row, facts, k, report["gate"])
                         for row, k in zip(report["closures"], pairs, strict=True)
                     ),
                 ),
@@ -115,10 +115,11 @@ def _head(column: tuple[str, str | None, str]) -> Markup:
     return element("th", inside, scope="col", data_sort_method=method, class_=kind)
 
 
-def _row(row: dict[str, Any], facts: Facts, pair: int, of_pair: dict[str, Any]) -> Markup:
+def _row(row: dict[str, Any], facts: Facts, pair: int, gate: float | None) -> Markup:
     index = row["index"]
     fate = FATES[facts.fate[index]]
-    agreeing, others = int(facts.agreeing[index]), int(facts.others[index])
+    agrees = f"{row['agrees_with']} of {row['of']}" if row["of"] else "–"
+    conflict, ratio = _conflict(row["worst_conflict"], gate)
     return element(
         "tr",
         element(
@@ -130,9 +131,9 @@ def _row(row: dict[str, Any], facts: Facts, pair: int, of_pair: dict[str, Any]) 
         ),
         element("td", row["a"], " → ", row["b"], class_="ends", data_source=row["source"] or None),
         element("td", TOLD[fate], class_=f"fate {fate}"),
-        element("td", closure_sentence(row, facts, of_pair), class_="why"),
-        _number(f"{agreeing} of {others}" if others > 0 else "–", agreeing),
-        _number(_conflict(facts, index), float(facts.ratio[index])),
+        element("td", row["why"], class_="why"),
+        _number(agrees, row["agrees_with"] or 0),
+        _number(conflict, ratio),
         _number(off_by(facts, index) or "–", float(facts.away[index])),
         id=f"closure-{index}",
         data_closure=index,
@@ -141,9 +142,13 @@ def _row(row: dict[str, Any], facts: Facts, pair: int, of_pair: dict[str, Any]) 
     )
 
 
-def _conflict(facts: Facts, index: int) -> str:
-    ratio, worst = float(facts.ratio[index]), facts.worst[index]
-    return "–" if math.isnan(ratio) else f"{number(ratio, 2)}{CLOSE}× with{CLOSE}{worst}"
+def _conflict(worst: dict[str, Any] | None, gate: float | None) -> tuple[str, float]:
+    """The worst conflict, as text and as the multiple q / γ of what may be."""
+    if worst is None or gate is None:
+        return "–", math.nan
+    squared = worst["squared"]
+    ratio = math.inf if math.isnan(squared) else math.sqrt(max(squared, 0.0) / gate)
+    return f"{number(ratio, 2)}{CLOSE}× with{CLOSE}{worst['with']}", ratio
 
 
 def _number(text: str, value: float) -> Markup:

@@ -105,7 +105,6 @@ def _closures(result: MergeResult, facts: Facts, unit: float) -> dict[str, Any]:
         "fate": [FATES[fate] for fate in facts.fate],
         **ends,
         "claimed": _axes(facts.claimed, unit),
-        "worst": facts.worst.tolist(),
     }
 
 

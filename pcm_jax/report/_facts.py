@@ -1,8 +1,7 @@
-"""The facts on every closure that the page tells: its fate, whom it contradicts, how far it is off.
+"""The facts on every closure that figures need: its fate, and how far it is off when merged.
 
-Two closures contradict each other by q / γ, the ratio of their distance (paper, eq. 4) to what the
-gate lets pass: at most 1 where they agree. A closure between pose i of robot a and pose k of
-robot b claims, once the maps are merged, that k is at `P_i z`; it is off by Log(P_k⁻¹ P_i z).
+A closure between pose i of robot a and pose k of robot b claims, once the maps are merged, that k
+is at `P_i z`; it is off by Log(P_k⁻¹ P_i z).
 """
 
 from __future__ import annotations
@@ -21,30 +20,21 @@ from pcm_jax.selection import PairSelection
 ACCEPTED, REFUSED, RIVAL, REJECTED = range(4)
 FATES = ("accepted", "refused", "rival", "rejected")
 """Fates: refused is a member of the set that was found between two robots and not accepted."""
-UNKNOWN = -1
 
 
 @dataclass(frozen=True, eq=False)
 class Facts:
-    """The facts on m closures; −1 and NaN where they are not known.
+    """The facts on m closures.
 
     Attributes:
         fate: int `[m]`, an index of `FATES`.
-        agreeing: int `[m]`, closures of the set found between the same two robots, others than
-            itself, that it agrees with.
-        others: int `[m]`, how many of these there are.
-        worst: int `[m]`, the one of these that it contradicts most, or agrees with least.
-        ratio: float `[m]`, q / γ of the two.
-        away: float `[m]`, how far off it is in the merged maps, metres.
+        away: float `[m]`, how far off it is in the merged maps, metres; NaN between maps that are
+            not in one frame.
         turned: float `[m]`, likewise, degrees.
         claimed: float `[m, s]`, where it puts its second pose, in the merged maps' frame.
     """
 
     fate: Int[np.ndarray, " m"]
-    agreeing: Int[np.ndarray, " m"]
-    others: Int[np.ndarray, " m"]
-    worst: Int[np.ndarray, " m"]
-    ratio: Float[np.ndarray, " m"]
     away: Float[np.ndarray, " m"]
     turned: Float[np.ndarray, " m"]
     claimed: Float[np.ndarray, "m s"]
@@ -52,18 +42,12 @@ class Facts:
 
 def facts_of(result: MergeResult) -> Facts:
     """Gathers what a merge knows of every candidate closure."""
-    count = len(result.candidates)
-    agreeing, others, worst = (np.full(count, UNKNOWN) for _ in range(3))
-    ratio = np.full(count, np.nan)
     fate = np.where(result.accepted, ACCEPTED, REJECTED)
     for pair in result.selection.pairs if result.selection else ():
-        rows = pair.closures
-        fate[rows[rival_members(pair)]] = RIVAL
-        fate[rows[found_members(pair)]] = REFUSED
+        fate[pair.closures[rival_members(pair)]] = RIVAL
+        fate[pair.closures[found_members(pair)]] = REFUSED
         fate[result.accepted] = ACCEPTED
-        agreeing[rows], others[rows] = _agreement(pair)
-        worst[rows], ratio[rows] = _worst(pair)
-    return Facts(fate, agreeing, others, worst, ratio, *_residuals(result))
+    return Facts(fate, *_residuals(result))
 
 
 def rival_members(pair: PairSelection) -> np.ndarray:
@@ -98,29 +82,6 @@ def ends_of(closures: LoopClosures, maps: Any) -> tuple[Any, Any]:
     at_a = start[np.asarray(closures.robot_a)] + np.asarray(closures.pose_a)
     at_b = start[np.asarray(closures.robot_b)] + np.asarray(closures.pose_b)
     return lie.take(poses, at_a), lie.take(poses, at_b)
-
-
-def _agreement(pair: PairSelection) -> tuple[np.ndarray, np.ndarray]:
-    graph = pair.consistent() & ~np.eye(len(pair.accepted), dtype=bool)
-    found = found_members(pair)
-    return graph[:, found].sum(axis=1), found.sum() - found
-
-
-def _worst(pair: PairSelection) -> tuple[np.ndarray, np.ndarray]:
-    """The closure of the set found that each contradicts most, and by how much."""
-    count, members = len(pair.accepted), np.flatnonzero(found_members(pair))
-    apart = ratios(pair)
-    if apart is None or not len(members):
-        return np.full(count, UNKNOWN), np.full(count, np.nan)
-    apart[np.diag_indices(count)] = -1.0
-    towards = np.where(np.isfinite(apart[:, members]), apart[:, members], np.inf)
-    found = towards.argmax(axis=1)
-    ratio = towards[np.arange(count), found]
-    alone = ratio < 0.0  # the only one accepted
-    return (
-        np.where(alone, UNKNOWN, pair.closures[members[found]]),
-        np.where(alone, np.nan, ratio),
-    )
 
 
 def _residuals(result: MergeResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

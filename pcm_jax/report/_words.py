@@ -1,4 +1,4 @@
-"""The page's sentences: the answer, and why each closure was accepted or not."""
+"""The page's words: the answer in sentences, numbers, and what is told of a closure."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from pcm_jax.report._facts import ACCEPTED, REFUSED, RIVAL, UNKNOWN, Facts
+from pcm_jax.integrity import STANDINGS
+from pcm_jax.report._facts import Facts
 
 SAID = 2
 """Refused pairs of robots whose reasons the answer gives itself."""
@@ -14,7 +15,6 @@ USABLE = 1.0 - 1e-6
 """Confidence above which a gate lets nearly everything in."""
 CLOSE = "\N{NO-BREAK SPACE}"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-FOUND = "closure found to agree", "closures found to agree"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -94,76 +94,29 @@ def _it(names: list[str]) -> str:
     return "it has" if len(names) == 1 else "each has"
 
 
-def closure_sentence(row: dict[str, Any], facts: Facts, pair: dict[str, Any] | None) -> str:
-    """Says in a sentence or two why a closure was accepted or not.
-
-    Args:
-        row: of the report; its own `why` is taken where it has one.
-        facts: on all closures.
-        pair: the report's row on its two robots.
-    """
-    if row.get("why"):
-        return row["why"]
-    index = row["index"]
-    fate, others = facts.fate[index], int(facts.others[index])
-    off = off_by(facts, index)
-    if fate == ACCEPTED:
-        if others == UNKNOWN:
-            return f"Accepted{off and f': in the merged maps it is off by {off}'}."
-        together = f"it agrees with all {others} others" if others else "it stands alone"
-        return f"Accepted: {together}{off and f', and in the merged maps it is off by {off}'}."
-    if fate == REFUSED:
-        return f"Refused with the {others + 1} closures found that agree: {_reason(pair)}."
-    start = "In the rival set: it and others agree on another alignment. " if fate == RIVAL else ""
-    return start + _rejection(index, facts, pair, off)
-
-
-def _reason(pair: dict[str, Any] | None) -> str:
-    return (pair or {}).get("why") or "none was accepted"
-
-
-def _rejection(index: int, facts: Facts, pair: dict[str, Any] | None, off: str) -> str:
-    others = int(facts.others[index])
-    if others == UNKNOWN:
-        return f"Rejected{off and f': in the merged maps it is off by {off}'}."
-    if others == 0:
-        return f"Rejected, as all closures of its two robots: {_reason(pair)}."
-    agreeing, ratio = int(facts.agreeing[index]), float(facts.ratio[index])
-    kind = ("accepted closure",) if pair and pair["accepted"] else FOUND
-    told = f"Rejected: it agrees with {agreeing or 'none'} of {counted(others, *kind)}"
-    if not math.isnan(ratio) and agreeing < others:
-        told += (
-            f". It contradicts closure {facts.worst[index]} most: the two are {number(ratio, 2)}"
-            " times further apart than their uncertainty allows"
-        )
-    return f"{told}.{off and f' If these are right, it is off by {off}.'}"
-
-
 def more(row: dict[str, Any]) -> list[list[str]]:
-    """What a report's row has besides of a closure, as terms and texts; nothing of an old report.
+    """The rest of what a report explains of a closure, as terms and texts.
 
     Args:
-        row: of `MergeResult.report()["closures"]`, where its loops were explained.
+        row: of `MergeResult.report()["closures"]`.
     """
-    told, worst, fit = [], row.get("worst_conflict"), row.get("fit")
-    if row.get("standing"):
-        told.append(["Standing", row["standing"]])
+    standing, worst, fit = row["standing"], row["worst_conflict"], row["fit"]
+    told = [["Standing", f"{standing}: {STANDINGS[standing]}"]]
     if worst:
-        miss = f"{number(worst['translation'], 2)} m, {number(worst['rotation'], 2)}°"
-        if "translation_sigma" in worst:
-            sigmas = (
-                f"{number(worst['translation_sigma'], 2)} m, {number(worst['rotation_sigma'], 2)}°"
-            )
-            miss += f" (standard deviations {sigmas})"
-        told.append([f"Loop with {worst['with']}", f"misses by {miss}"])
-        if worst.get("shares"):
-            shares = ", ".join(f"{k} {100.0 * v:.0f} %" for k, v in worst["shares"].items())
-            told.append(["Uncertainty from", shares])
-    if row.get("enters_at") is not None:
+        sizes = (worst["translation"], worst["rotation"])
+        sigmas = (worst["translation_sigma"], worst["rotation_sigma"])
+        miss = f"misses by {_pose(*sizes)} (standard deviations {_pose(*sigmas)})"
+        shares = ", ".join(f"{name} {100.0 * x:.0f} %" for name, x in worst["shares"].items())
+        told += [[f"Loop with {worst['with']}", miss], ["Uncertainty from", shares]]
+    if row["enters_at"] is not None:
         told.append(["Enters at", _confidence(row["enters_at"])])
     if fit:
         told.append(["In the merged map", f"χ² {number(fit['chi2'])}, p = {number(fit['p'], 2)}"])
     return told
+
+
+def _pose(metres: float, degrees: float) -> str:
+    return f"{number(metres, 2)}{CLOSE}m, {number(degrees, 2)}°"
 
 
 def _confidence(value: float) -> str:
@@ -173,4 +126,4 @@ def _confidence(value: float) -> str:
 def off_by(facts: Facts, index: int) -> str:
     """The miss of a closure in the merged maps; nothing where they are not in one frame."""
     away, turned = float(facts.away[index]), float(facts.turned[index])
-    return "" if math.isnan(away) else f"{number(away, 2)}{CLOSE}m, {number(turned, 2)}°"
+    return "" if math.isnan(away) else _pose(away, turned)

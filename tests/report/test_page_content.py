@@ -79,7 +79,12 @@ def test_every_closure_has_a_row(result, document):
         cells = cells_of(read, row)
         assert cells[0] == str(told["index"])
         assert cells[1] == f"{told['a']} → {told['b']}"
-        assert len(cells[3]) > 40, "a sentence"
+        assert cells[3] == told["why"]
+        assert cells[4] == f"{told['agrees_with']} of {told['of']}"
+        times = np.sqrt(told["worst_conflict"]["squared"] / result.gate)
+        shown, other = cells[5].split("\u00a0× with\u00a0")
+        assert float(shown) == pytest.approx(times, rel=0.05)
+        assert int(other) == told["worst_conflict"]["with"]
 
 
 def test_members_of_the_rival_are_told_apart(result, document):
