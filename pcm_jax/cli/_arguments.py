@@ -161,6 +161,7 @@ def _merge(commands: Any) -> None:
     for name, what in (
         ("rejected", "the candidates that were not accepted, as CSV"),
         ("report", "what was accepted, and how well it fits, as JSON"),
+        ("html", "the same as one page to read: maps, closures, why each was accepted or not"),
         ("plot", "a picture of the merged maps"),
     ):
         merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")

@@ -32,7 +32,7 @@ def run(options: Any) -> None:
 
 def _check_outputs(options: Any) -> None:
     inputs = [*options.files, *(options.closures or [])]
-    files = [options.rejected, options.report, options.plot]
+    files = [options.rejected, options.report, options.html, options.plot]
     if options.output:
         from pcm_jax.cli._merged_files import check_folder, is_folder
 
@@ -161,6 +161,11 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
     if options.report:
         write_text(options.report, outputs.json_text(report))
         yield options.report
+    if options.html:
+        from pcm_jax.report import write_html
+
+        write_html(options.html, result, report)
+        yield options.html
     if options.plot:
         outputs.save_picture(options.plot, result.plot())
         yield options.plot

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import warnings
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -300,6 +301,21 @@ class MergeResult:
         from pcm_jax.plots import plot_merge
 
         return plot_merge(self, ax, is_true=is_true)
+
+    def to_html(self, path: str | PathLike[str]) -> None:
+        """Writes the report as one HTML page that needs no network: maps, closures and why.
+
+            pcm_jax.merge(graph).to_html("report.html")
+
+        Args:
+            path: of the file.
+
+        Raises:
+            FileFormatError: where it cannot be written.
+        """
+        from pcm_jax.report import write_html
+
+        write_html(path, self)
 
 
 @on_host
