@@ -32,7 +32,7 @@ HEADINGS, LIKELY = np.radians(np.arange(-180.0, 180.0, 0.5)), 60
 MOUNTED = 0.5
 """Metres within which sensors sit on robots, one sigma: what closures do not see stays small."""
 STEPS, FOLLOWED, POLISHED = 40, 3, 2
-"""Evaluations of a solve; the starts that are followed, which fit best; solves by loops."""
+"""Evaluations of a solve; starts that are followed, those that fit best; solves by loops."""
 
 
 def in_degrees(maps: Maps, closures: LoopClosures) -> Iterator[LoopClosures]:
@@ -56,8 +56,8 @@ def in_degrees(maps: Maps, closures: LoopClosures) -> Iterator[LoopClosures]:
         yield with_measurement(closures, closures.group(values.copy()))
 
 
-def with_extrinsic(covariances: Any, closures: LoopClosures) -> Iterator[tuple[Any, LoopClosures]]:
-    """The sensor's poses on both robots that fit best, from each start, and the closures then.
+def with_extrinsic(covariances: Any, closures: LoopClosures) -> tuple[Any, LoopClosures]:
+    """The sensor's pose on both robots that fits best, and the closures then.
 
     Args:
         covariances: a `MapCovariance` of map a and of map b.
@@ -71,6 +71,7 @@ def with_extrinsic(covariances: Any, closures: LoopClosures) -> Iterator[tuple[A
     fit = _HandEye(maps, closures, np.median(apart.sigma, axis=0))  # type: ignore[arg-type]
     begun = [(start, fit.middle(start)) for start in starts(closures.group)]
     at_first = [_cauchy(fit.off(*one)) for one in begun]
+    ends = []
     for number in np.argsort(at_first, kind="stable")[:FOLLOWED]:
         start = begun[int(number)]
         found = least_squares(
@@ -79,10 +80,11 @@ def with_extrinsic(covariances: Any, closures: LoopClosures) -> Iterator[tuple[A
             loss="cauchy",
             max_nfev=STEPS,
         )
-        extrinsic, _ = fit.moved(found.x, *start)
-        for _ in range(POLISHED):
-            extrinsic = _polished(covariances, closures, fit, extrinsic)
-        yield extrinsic, with_measurement(closures, fit.seen(extrinsic))
+        ends.append((found.cost, len(ends), fit.moved(found.x, *start)[0]))
+    *_, extrinsic = min(ends)
+    for _ in range(POLISHED):
+        extrinsic = _polished(covariances, closures, fit, extrinsic)
+    return extrinsic, with_measurement(closures, fit.seen(extrinsic))
 
 
 def _polished(covariances: Any, closures: LoopClosures, fit: _HandEye, extrinsic: Any) -> Any:

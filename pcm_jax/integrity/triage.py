@@ -142,10 +142,10 @@ def _solved(samples: list[tuple[PairEvidence, LoopClosures]], gate: float) -> It
     if lie.tangent_dim(closures.group) == 3:
         sizes = [_agreeing(pair, own, gate) for own in in_degrees(maps, closures)]
         yield Finding("degrees", "angles are in degrees", max(sizes), of, as_read)
-    for extrinsic, own in with_extrinsic(pair.covariances, closures):
-        words = f"a sensor sits at {_pose(extrinsic)} on its robot"
-        agreeing = _agreeing(pair, own, gate)
-        yield Finding("extrinsic left out", words, agreeing, of, as_read, extrinsic=extrinsic)
+    extrinsic, own = with_extrinsic(pair.covariances, closures)
+    words = f"a sensor sits at {_pose(extrinsic)} on its robot"
+    agreeing = _agreeing(pair, own, gate)
+    yield Finding("extrinsic left out", words, agreeing, of, as_read, extrinsic=extrinsic)
 
 
 def _pose(extrinsic: Any) -> str:
