@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "pcm_jax"
 ORDER = (
-    *("errors", "arrays", "store", "tables"),
+    *("errors", "arrays", "compiling", "store", "tables"),
     *("lie", "graph", "files", "sparse", "mapping", "consistency", "clique"),
     *("selection", "integrity", "merging", "online", "pipeline", "simulation", "evaluation"),
     *("plots", "report", "experiments", "cli"),
@@ -17,6 +17,7 @@ ORDER = (
 ONLY_IMPORT = {
     "errors": set(),
     "arrays": {"errors"},
+    "compiling": set(),
     "store": set(),
     "tables": {"errors"},
     "clique": {"errors", "arrays"},
