@@ -131,7 +131,7 @@ class _HandEye:
         return lie.compose(lie.compose(extrinsic, self._z), lie.inverse(extrinsic))
 
     def off(self, extrinsic: Any, common: Any) -> Float[np.ndarray, "k d"]:
-        """What is left of each closure, in sigmas, with an alignment or one for each."""
+        """The residual of each closure, in sigmas, with an alignment or one for each."""
         expected = lie.compose(lie.inverse(self._x), lie.compose(common, self._y))
         return np.asarray(lie.log(lie.between(self.seen(extrinsic), expected))) / self._scale
 
@@ -153,7 +153,7 @@ class _HandEye:
     def residual(
         self, tangent: Float[np.ndarray, " 2*d"], extrinsic: Any, middle: Any
     ) -> Float[np.ndarray, " r"]:
-        """What is left, in sigmas; and where the sensor sits, in those of `MOUNTED`."""
+        """The residuals, in sigmas; and where the sensor sits, in those of `MOUNTED`."""
         extrinsic, common = self.moved(tangent, extrinsic, middle)
         off = self.off(extrinsic, common)
         return np.concatenate([off.ravel(), np.asarray(lie.translation(extrinsic)) / MOUNTED])
