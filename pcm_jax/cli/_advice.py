@@ -27,7 +27,7 @@ def advice(report: dict[str, Any]) -> str | None:
 def _advised(report: dict[str, Any]) -> Iterator[str]:
     for hint in report.get("hints", []):
         option = OPTION.search(hint)
-        yield f"try {option[1]}" if option else hint
+        yield f"try {option[1]}" if option else "mend the closures as said above, and merge again"
     pairs = report["robot_pairs"]
     if not report["solution"]["converged"]:
         yield "leave out what contradicts the maps (--clean-maps, or a lower --confidence)"

@@ -27,7 +27,7 @@ def run(options: Any) -> None:
 
 
 def explained(report: dict[str, Any], row: dict[str, Any]) -> str:
-    """What a report says of one closure: its sentence, then the numbers."""
+    """A report's account of one closure: its sentence, then the numbers."""
     known = [(name, value) for name, value in _rows(report, row) if value is not None]
     width = max(len(name) for name, _ in known)
     lines = [f"  {name.ljust(width)}  {value}" for name, value in known]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import warnings
 from collections.abc import Iterator
@@ -13,6 +14,9 @@ from pcm_jax.cli._hints import square_root
 from pcm_jax.cli._progress import Progress
 from pcm_jax.cli._summary import summary
 from pcm_jax.errors import InputError
+
+NEARLY_NONE = 0.1
+"""Share of closures accepted, up to which it is asked what they may have meant."""
 
 
 def run(options: Any) -> None:
@@ -53,7 +57,10 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     seconds = {"read": time.perf_counter() - start}
     result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
     report = {**result.report(), **cleaned, "input": given.as_dict()}
-    report["hints"] = list(_hints(options, given.graph, report, progress))
+    report["hints"] = [
+        *_mistakes(result, progress),
+        *_hints(options, given.graph, report, progress),
+    ]
     return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
 
 
@@ -103,6 +110,20 @@ def _hints(options: Any, graph: Any, report: dict[str, Any], progress: Progress)
                 f"the normalised chi2 is {chi2:.3g}, where noise as stated gives 1: do the robots'"
                 f" own maps hold false loops (--clean-maps)? Without them it is {found:.3g}"
             )
+
+
+def _mistakes(result: Any, progress: Progress) -> Iterator[str]:
+    """The usual mistake that explains why nearly every closure is rejected."""
+    from pcm_jax.integrity import triage
+
+    chosen = result.selection
+    if chosen is None or result.accepted.mean() > NEARLY_NONE:
+        return
+    progress("trying what closures may mean")
+    with contextlib.suppress(InputError):
+        found = triage(chosen.evidence, chosen.gate)
+        if found is not None:
+            yield f"nearly every closure is rejected; {found.sentence}"
 
 
 def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:

@@ -10,6 +10,9 @@ _loops       by how much the loops of chosen pairs of closures miss, and through
 _standing    the standing of a closure among the others: agreements, the worst conflict
 _sentences   explanations in words
 explanation  why each closure was accepted or dropped
+_mistakes    usual mistakes in what closures say and join, and closures without them
+_solved_mistakes     the same where something unknown is to be found: degrees, a sensor's place
+triage       where nearly all is rejected, the mistake that explains it
 """
 
 from pcm_jax.integrity._standing import STANDINGS, Conflict
@@ -19,6 +22,7 @@ from pcm_jax.integrity.places import Places, places_of, way_of
 from pcm_jax.integrity.residuals import Fit, StrainedEdge, strained_edges
 from pcm_jax.integrity.rivals import Rival, strongest_rival
 from pcm_jax.integrity.team import Cycle, cycles_of, judge_team, minority
+from pcm_jax.integrity.triage import Finding, triage
 from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_number
 
 __all__ = [
@@ -28,6 +32,7 @@ __all__ = [
     "Conflict",
     "Cycle",
     "Explanation",
+    "Finding",
     "Fit",
     "Places",
     "Rival",
@@ -44,5 +49,6 @@ __all__ = [
     "places_of",
     "strained_edges",
     "strongest_rival",
+    "triage",
     "way_of",
 ]

@@ -88,6 +88,11 @@ class Loops:
                 whole[some] = own
         return found
 
+    def whitened(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Any:
+        """L⁻¹ of each pair's M = L Lᵀ, `[p, d, d]`: with it r is of unit covariance."""
+        _, parts = self._parts(u, v)
+        return np.linalg.inv(np.linalg.cholesky(parts[:, :, 0].sum(axis=1)))
+
     def _portions(self, partners: Int[np.ndarray, " p"]) -> list[Int[np.ndarray, " q"]]:
         """The pairs, cut into portions of few partners and few pairs."""
         which, counts = np.unique(partners, return_inverse=True, return_counts=True)[1:]
