@@ -156,12 +156,12 @@ def world_nees(world: SimulatedWorld) -> Nees:
     )
 
 
-def _squared(error: np.ndarray, covariance: np.ndarray) -> float:
+def _squared(error: Any, covariance: np.ndarray) -> float:
     return float(error @ np.linalg.solve(covariance, error))
 
 
 def _translation_by(metres: np.ndarray, result: MergeResult) -> Any:
-    matrix = np.eye(len(metres) + 1)
+    matrix: Any = np.eye(len(metres) + 1)
     matrix[:-1, -1] = metres
     return lie.as_numpy(lie.from_matrix(matrix))
 

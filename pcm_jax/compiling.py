@@ -1,4 +1,4 @@
-"""Whether a computation runs in NumPy or in a program that is compiled for it first.
+"""The choice between NumPy and a program that has to be compiled first.
 
 Compiling takes seconds, whatever the size of the problem; the same law on NumPy arrays takes
 milliseconds for a small problem, and compiles nothing. So a computation of one size runs in NumPy

@@ -2,6 +2,7 @@
 
 entry        `main`: runs a command; errors and warnings become lines on standard error
 _arguments   the options of all commands
+_cache       compiled programs kept on disk between commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
 demo, explain, formats, inspect, merge, simulate     a module per command, with a `run(arguments)`

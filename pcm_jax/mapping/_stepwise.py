@@ -48,10 +48,12 @@ def gauss_newton(
         rtol, atol: see `ManifoldGaussNewton`.
         max_steps: evaluations after which to give up.
     """
-    candidate, delta = poses, np.zeros((len(free), lie.tangent_dim(poses)))
+    candidate = poses
+    delta: Any = np.zeros((len(free), lie.tangent_dim(poses)))
     before = initial = np.nan
     for step in range(max_steps):
-        residual, by_tail, by_head = linearize(candidate, edges)
+        linear: Any = linearize(candidate, edges)
+        residual, by_tail, by_head = linear
         cost = 0.5 * float(np.sum(residual * residual))
         if step == 0:
             initial = cost
@@ -68,7 +70,7 @@ def gauss_newton(
 
 
 def at_rest(delta: Float[Any, "n d"], poses: Any, atol: float) -> Any:
-    """Whether a step moves no coordinate by more than `atol` and what rounding leaves of it.
+    """True where a step moves no coordinate by more than `atol` and what rounding leaves of it.
 
     Over NumPy's arrays or JAX's.
     """
@@ -80,12 +82,12 @@ def at_rest(delta: Float[Any, "n d"], poses: Any, atol: float) -> Any:
 
 
 def _step(
-    edges: Edges, free: np.ndarray, by_tail: np.ndarray, by_head: np.ndarray, residual: np.ndarray
+    edges: Edges, free: np.ndarray, by_tail: Any, by_head: Any, residual: Any
 ) -> Float[np.ndarray, "n d"]:
     """(JᵀJ)⁻¹ Jᵀ r; NaN if there is no factor."""
     step = np.empty((len(free), len(residual)))
     counts: Any = np.array([len(free), residual.shape[1]])
     pattern: Any = edges.tail, edges.head, free, counts
-    numbers = edge_products(by_tail, by_head, residual)
+    numbers: Any = edge_products(by_tail, by_head, residual)
     solve_on_host(step, *pattern, np.zeros(()), *numbers, np.zeros_like(step))
     return step
