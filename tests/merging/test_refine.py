@@ -275,15 +275,32 @@ def test_gnc_drops_a_false_closure_that_was_accepted(group):
 
 
 def test_gnc_is_not_taken_where_it_parts_robots(monkeypatch):
+    """Of closures that contradict each other none holds, at a lower truncated cost."""
+    graph = two_lines([5.0, -5.0, 5.0, -5.0])
+    far = lie.exp(jaxlie.SE2, np.array([100.0, 0.0, 0.0]))
+    apart = [lie.as_numpy(one.poses) for one in graph.maps]
+    apart[1] = lie.compose(lie.take(lie.stack([far]), np.zeros(30, int)), apart[1])
+
     def nothing_holds(joint, doubted, reweighting, **_):
-        poses, none = lie.as_numpy(joint.poses), np.zeros(len(doubted))
-        return Turns(poses, none, none, 0.0, 0.0, 1, True)
+        none = np.zeros(len(doubted))
+        return Turns(lie.concatenate(apart), none, none, 0.0, 0.0, 1, True)
 
     monkeypatch.setattr(refining, "reweighted", nothing_holds)
-    world = world_of(jaxlie.SE2)
-    result = merge(world.graph, accepted=world.is_true, refine="gnc")
-    np.testing.assert_array_equal(result.accepted, world.is_true)
-    assert result.refinement.loops_dropped == 0
+    result = merge(graph, accepted=np.ones(4, bool), refine="gnc")
+    assert result.accepted.all()
+    assert result.groups == ((0, 1),)
+
+
+def test_gnc_is_not_taken_where_it_costs_more(monkeypatch):
+    def one_holds(joint, doubted, reweighting, **_):
+        scale = np.zeros(len(doubted))
+        scale[-1] = 1.0
+        return Turns(lie.as_numpy(joint.poses), scale, scale, 0.0, 0.0, 1, True)
+
+    monkeypatch.setattr(refining, "reweighted", one_holds)
+    result = merge(two_lines([0.0, 0.1, -0.1]), accepted=[0, 1, 2], refine="gnc")
+    assert result.accepted.all()
+    assert result.refinement.rounds == 0
 
 
 @pytest.mark.parametrize("mode", ["recall", "gnc"])
