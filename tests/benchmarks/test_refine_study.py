@@ -15,7 +15,7 @@ ROWS = ["PCM", "PCM + GNC", "PCM + GNC + recall", "PCM + recall", "GNC alone", "
 
 def small_world():
     world = simulate_city(seed=3, poses=60, inliers=8, aliased_groups=1, aliased_size=3, random=10)
-    return study.World(world.graph, world.is_true, world.truth)
+    return study.World(world.graph, world.is_true, world.truth, in_steps=True)
 
 
 def small_tasks(options, seed):
