@@ -35,7 +35,6 @@ MISNAMED = {
     "lie/se2.py",
     "lie/se3.py",
     "mapping/_linearization.py",
-    "merging/_alignment.py",
     "merging/robust/weights.py",
     "pipeline/stages.py",
 }

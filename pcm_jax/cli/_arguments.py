@@ -140,6 +140,13 @@ def _merge(commands: Any) -> None:
         "take the larger set (default: split)",
     )
     merge.add_argument(
+        "--refine",
+        choices=("recall", "gnc"),
+        help="recall: closures that were left out, but agree with the merged map, come back; gnc: "
+        "before that, graduated non-convexity judges all of them and the loops inside the maps, "
+        "from the merged map (default: neither)",
+    )
+    merge.add_argument(
         "--time-limit",
         type=_seconds,
         metavar="S",

@@ -14,6 +14,7 @@ DOING = {
     "consistency": "weighing closures: %",
     "clique": "selecting closures: pair {number} of {total}",
     "merge": "merging the maps",
+    "refine": "refining the merged map",
 }
 """What the library's stages are called here."""
 

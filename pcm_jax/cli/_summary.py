@@ -18,7 +18,7 @@ USABLE = 1.0 - 1e-9
 def summary(report: dict[str, Any]) -> str:
     """A report as the text that `pcm-jax merge` prints."""
     told = [*report.get("warnings", []), *report.get("hints", [])]
-    fit = "\n".join([_fit(report["solution"]), *told])
+    fit = "\n".join([*_refined(report.get("refine")), _fit(report["solution"]), *told])
     parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
     if report.get("input", {}).get("cuts"):
         parts.insert(0, "\n".join(report["input"]["cuts"]))
@@ -63,6 +63,19 @@ def _optimal(pair: dict[str, Any]) -> str:
         return "not looked for"
     most = f"weight {pair['weight_bound']:.6g}" if "weight" in pair else pair["upper_bound"]
     return "proven" if pair["optimal"] else f"not proven, at most {most}"
+
+
+def _refined(refined: dict[str, Any] | None) -> Iterator[str]:
+    """Lines on what refining changed."""
+    if refined is None:
+        return
+    back, lost = len(refined["recalled"]), len(refined["dropped"])
+    yield f"recalled {back} more that agree with the merged map" + (
+        "" if refined["settled"] else f" (not settled after {refined['rounds']} rounds)"
+    )
+    if lost or refined["loops_dropped"]:
+        loops = len(refined["loops_dropped"])
+        yield f"dropped {lost} closures, and {loops} loops inside the maps, that do not"
 
 
 def _fit(solution: dict[str, Any]) -> str:

@@ -86,6 +86,7 @@ def _merge(
         on_ambiguous=options.on_ambiguous,
         seed=options.seed,
         time_limit=options.time_limit,
+        refine=options.refine,
         progress=progress,
     )
     return result, cleaned, seconds

@@ -2,9 +2,13 @@
 
 groups           which robots the accepted closures connect
 _alignment       where each map lies in its group's frame, from the closures alone: a start
-frames           whose frame a group's priors are in, and whether it is one
+_frames          whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
+merged           every group at its optimum, and the poses back in the robots' maps
+_recall          edges that were left out, but agree with the merged map, come back
+refine           that, and graduated non-convexity before it
+refinement       `Refinement`: what these changed
 _strain          which part of a merge does not fit
 _one_more_or_less     how far the anchors would move if a closure were decided the other way
 _report          the rows of its report
@@ -15,14 +19,17 @@ compile_time     how long JAX compiled meanwhile
 
 from pcm_jax.merging._strain import TOO_BAD
 from pcm_jax.merging.differentiable import merge_differentiable
+from pcm_jax.merging.refinement import JointTest, Refinement
 from pcm_jax.merging.result import MergeResult, MergeSolution
 from pcm_jax.merging.robust import ROBUST_METHODS, RobustSolution
 
 __all__ = [
     "ROBUST_METHODS",
     "TOO_BAD",
+    "JointTest",
     "MergeResult",
     "MergeSolution",
+    "Refinement",
     "RobustSolution",
     "merge_differentiable",
 ]

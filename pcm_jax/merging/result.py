@@ -22,6 +22,7 @@ from pcm_jax.merging._report import closure_rows, pair_rows, pose_fields
 from pcm_jax.merging._strain import strain
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
+from pcm_jax.merging.refinement import Refinement
 from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.selection import Selection
 
@@ -77,6 +78,7 @@ class MergeResult:
             "compile" is what JAX's compiler took of these.
         robust: of a robust method, each closure's scale and where the solve left the maps;
             else None.
+        refinement: of a refined merge, what it changed; else None.
     """
 
     graph: MultiRobotGraph
@@ -92,6 +94,7 @@ class MergeResult:
     gate: float | None
     seconds: dict[str, float]
     robust: RobustSolution | None = None
+    refinement: Refinement | None = None
 
     def __repr__(self) -> str:
         groups = " | ".join(
@@ -105,6 +108,13 @@ class MergeResult:
             f"  groups  {groups}\n"
             f"  fit     cost {fit.cost:.6g}, normalised χ² {chi2}, {end}, by {self.method}"
         )
+
+    @property
+    def recalled(self) -> Bool[np.ndarray, " m"]:
+        """The accepted closures that were not selected, but agree with the merged map."""
+        if self.refinement is None:
+            return np.zeros(len(self.accepted), bool)
+        return self.refinement.recalled
 
     @property
     def ambiguous(self) -> bool:
@@ -284,6 +294,7 @@ class MergeResult:
                 }
                 for cycle in (self.selection.team if self.selection else ())
             ],
+            **({"refine": self.refinement.report(self.maps)} if self.refinement else {}),
             "warnings": list(self.warnings),
             "seconds": dict(self.seconds),
         }

@@ -7,6 +7,7 @@ weights follow from squared residuals (`Reweighting`). All need an initial guess
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -135,6 +136,29 @@ def gnc(gate: float, dof: int) -> Reweighting:
         largest = max(state.largest, float(squared.max()))
         control = GROWTH * state.control if state.control else gate / (2.0 * largest - gate)
         return truncated_weight(squared, gate, control), _Schedule(state.largest, control)
+
+    return Reweighting(update, GRADUALLY, binary=True)
+
+
+def from_here(gate: float) -> Reweighting:
+    """Graduated non-convexity from poses that are believed already.
+
+    As `gnc`, but the first weights are those of the residuals where it starts: not all one, which
+    would let every false closure pull at once and forget the start.
+
+    Args:
+        gate: γ².
+    """
+
+    def update(squared: Weights, control: float | None) -> tuple[Weights, float]:
+        if control is not None:
+            control = GROWTH * control
+        else:
+            largest = 2.0 * float(squared.max())
+            control = gate / (largest - gate) if largest > gate else math.inf
+        if math.isinf(control):
+            return (squared <= gate).astype(float), control
+        return truncated_weight(squared, gate, control), control
 
     return Reweighting(update, GRADUALLY, binary=True)
 

@@ -147,8 +147,19 @@ def solve_robustly(
     )
 
 
-class _Turns(NamedTuple):
-    poses: Any  # Lie [n], NumPy
+class Turns(NamedTuple):
+    """The end of `reweighted`.
+
+    Attributes:
+        poses: Lie `[n]`, NumPy.
+        scale: `[k]` s = √w of the edges in doubt.
+        squared: `[k]` their χ² at these poses, with all their information.
+        cost, initial_cost: 0.5 Σ rᵀΩr with the last weights, and at the start with the first.
+        iterations: how often weights were taken anew and the poses solved for.
+        converged: whether both have settled.
+    """
+
+    poses: Any
     scale: np.ndarray
     squared: np.ndarray
     cost: float
@@ -164,10 +175,11 @@ def _solve_group(
     reweighting: Reweighting,
     solver: str,
     engine: str,
-) -> tuple[tuple[int, ...], np.ndarray, _Turns]:
+) -> tuple[tuple[int, ...], np.ndarray, Turns]:
     used = np.flatnonzero(np.isin(np.asarray(graph.closures.robot_a), members))
     joint = joint_graph(graph, members, used, start)
-    turns = reweighted(joint, len(used), reweighting, solver=solver, engine=engine)
+    closures = np.arange(joint.num_edges - len(used), joint.num_edges)
+    turns = reweighted(joint, closures, reweighting, solver=solver, engine=engine)
     if not turns.converged:
         warnings.warn(
             f"merged map {joint.name!r}: the weights of the closures did not settle in "
@@ -179,21 +191,25 @@ def _solve_group(
 
 
 def reweighted(
-    joint: PoseGraph, closures: int, reweighting: Reweighting, *, solver: str, engine: str
-) -> _Turns:
+    joint: PoseGraph,
+    doubted: Int[np.ndarray, " k"],
+    reweighting: Reweighting,
+    *,
+    solver: str,
+    engine: str,
+) -> Turns:
     """Takes weights and solves in turn, from the graph's own poses, until both have settled.
 
     Args:
         joint: a merged graph.
-        closures: how many of its last edges are closures, at least one.
+        doubted: its edges that are weighted, at least one; all others are known to be right.
         reweighting: the method.
         solver, engine: see `optimize`.
     """
     tail, head, measurement, information = host_arrays(joint)
     problem = problem_of(joint)
-    last = slice(joint.num_edges - closures, None)
-    measured = tail[last], head[last], lie.take(measurement, last), information[last]
-    poses, state, scale = lie.as_numpy(joint.poses), None, np.full(closures, np.inf)
+    measured = tail[doubted], head[doubted], lie.take(measurement, doubted), information[doubted]
+    poses, state, scale = lie.as_numpy(joint.poses), None, np.full(len(doubted), np.inf)
     squared, of_edges = squared_residuals(poses, *measured), np.ones(joint.num_edges)
     initial_cost = cost = math.nan
     settled = False
@@ -202,8 +218,8 @@ def reweighted(
         change, scale = np.abs(np.sqrt(weights) - scale).max(), np.sqrt(weights)
         decided = not reweighting.binary or bool(np.isin(weights, (0.0, 1.0)).all())
         if settled and decided and change <= SCALE_TOLERANCE:
-            return _Turns(poses, scale, squared, cost, initial_cost, turn, True)
-        of_edges[-closures:] = np.maximum(scale, LEAST_SCALE)
+            return Turns(poses, scale, squared, cost, initial_cost, turn, True)
+        of_edges[doubted] = np.maximum(scale, LEAST_SCALE)
         solved = problem.solve(
             poses,
             scale=of_edges,
@@ -218,7 +234,7 @@ def reweighted(
         cost = solved.cost
         settled = abs(solved.initial_cost - cost) <= COST_TOLERANCE * solved.initial_cost
         poses, squared = solved.poses, squared_residuals(solved.poses, *measured)
-    return _Turns(poses, scale, squared, cost, initial_cost, turn, False)
+    return Turns(poses, scale, squared, cost, initial_cost, turn, False)
 
 
 def squared_residuals(
