@@ -118,7 +118,7 @@ def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
     """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
-    from pcm_jax.selection import clean_maps
+    from pcm_jax.pipeline import clean_maps
 
     given = {"confidence": options.confidence, "time_limit": options.time_limit}
     limits = {name: value for name, value in given.items() if value is not None}

@@ -43,7 +43,15 @@ from pcm_jax.consistency.streaming import (
     stream_consistency_graph,
     stream_from_covariances,
 )
-from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
+from pcm_jax.consistency.within import (
+    OwnLoops,
+    WithinProblem,
+    odometry_edges,
+    own_loops,
+    reordered,
+    with_odometry_errors,
+    within_problem,
+)
 
 __all__ = [
     "AlignmentDifference",
@@ -51,6 +59,7 @@ __all__ = [
     "ConsistentPairs",
     "Evidence",
     "JointConsistency",
+    "OwnLoops",
     "PackedGraph",
     "PairEvidence",
     "WithinProblem",
@@ -61,7 +70,9 @@ __all__ = [
     "joint_consistency",
     "loop_error",
     "odometry_edges",
+    "own_loops",
     "problem_from_covariances",
+    "reordered",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
     "squared_own_loops",
@@ -69,5 +80,6 @@ __all__ = [
     "stream_consistency_graph",
     "stream_from_covariances",
     "to_networkx",
+    "with_odometry_errors",
     "within_problem",
 ]

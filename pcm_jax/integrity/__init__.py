@@ -3,6 +3,8 @@
 places   closures beside each other along both ways are one witness
 chance   how often closures of which none is right agree as well
 rivals   the best set that implies another alignment
+odometry  the scale of odometry's errors, as the closures inside one map tell it
+within   how often closures of which none is right agree with odometry inside one map
 verdict  what is believed, all pairs of robots together, and why
 team     cycles of robots: whether the alignments of a team's pairs fit together
 """

@@ -13,7 +13,8 @@ from pcm_jax.consistency import chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.selection import clean_maps, select_from, select_within
+from pcm_jax.pipeline import clean_maps, select_within
+from pcm_jax.selection import select_from
 from pcm_jax.simulation import simulate_city
 
 POSES, RANDOM, ALIASED = 200, 30, 200
@@ -104,7 +105,7 @@ def test_the_parts_fit_together(selection):
     own = np.flatnonzero(selection.own_squared <= selection.gate)
     chosen = select_from(selection.squared[np.ix_(own, own)], selection.gate)
     np.testing.assert_array_equal(np.flatnonzero(selection.accepted), own[chosen])
-    assert list(selection.seconds) == ["consistency", "clique"]
+    assert list(selection.seconds) == ["consistency", "clique", "chance"]
     assert all(seconds > 0 for seconds in selection.seconds.values())
 
 
@@ -181,7 +182,7 @@ def test_a_broken_chain_is_named_before_any_work(dirty, monkeypatch):
         information=np.tile(np.eye(3), (4, 1, 1)),
         name="dave",
     )
-    monkeypatch.setattr("pcm_jax.selection.within_one_map.select_within", pytest.fail)
+    monkeypatch.setattr("pcm_jax.pipeline.within.select_within", pytest.fail)
     with pytest.raises(InputError, match="map 'dave': no edge joins poses dave:1 and dave:2"):
         clean_maps(MultiRobotGraph((dirty[0], looped)))
 
