@@ -120,7 +120,12 @@ def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
     """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
     from pcm_jax.pipeline import clean_maps
 
-    given = {"confidence": options.confidence, "time_limit": options.time_limit}
+    given = {
+        "confidence": options.confidence,
+        "time_limit": options.time_limit,
+        "significance": options.significance,
+        "seed": options.seed,
+    }
     limits = {name: value for name, value in given.items() if value is not None}
     clean, selections = clean_maps(graph, **limits)
     return clean, list(map(_cleaned_row, graph.maps, selections))
@@ -136,6 +141,7 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
         "accepted": closures - len(rejected),
         "optimal": selection is None or selection.optimal,
         "upper_bound": 0 if selection is None else selection.upper_bound,
+        **_judged(selection),
         "rejected": [
             {
                 "a": pose_graph.pose_name(int(pose_graph.tail[edge])),
@@ -144,6 +150,20 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
             }
             for edge in rejected
         ],
+    }
+
+
+def _judged(selection: Any) -> dict[str, Any]:
+    """The fields of a cleaned map's row that say why its closures are believed."""
+    if selection is None:
+        return {"odometry_scale": 1.0, "found": 0, "places": 0, "chance": None, "why": None}
+    verdict = selection.verdict
+    return {
+        "odometry_scale": selection.odometry_scale,
+        "found": verdict.found,
+        "places": verdict.places,
+        "chance": verdict.chance.p_value if verdict.chance else None,
+        "why": verdict.why,
     }
 
 
@@ -181,7 +201,13 @@ def summary(report: dict[str, Any]) -> str:
 
 def _maps(cleaned: list[dict[str, Any]]) -> str:
     rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
-    return columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
+    table = columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
+    return "\n".join([table, *(f"{row['robot']}: {row['why']}" for row in cleaned if _odd(row))])
+
+
+def _odd(row: dict[str, Any]) -> bool:
+    """True for a map that was not judged as its file says, or accepts nothing of what it has."""
+    return row["odometry_scale"] != 1.0 or (row["measured"] > 0 and row["accepted"] == 0)
 
 
 def _robots(report: dict[str, Any]) -> str:

@@ -34,6 +34,8 @@ FINENESS = 4
 """Factors looked at in each doubling."""
 ROUNDS = 30
 """Of the share of right closures."""
+LIKELIER = 3.0
+"""By how much the logarithm of a likelihood must be larger to say anything."""
 FLAT = 0.1
 """Of its largest extent: the least width of a map."""
 ROTATIONS = {3: 2.0 * np.pi, 6: 8.0 * np.pi**2}
@@ -45,7 +47,7 @@ class OdometryScale:
     """The factor on odometry's standard deviations under which closures agree with it.
 
     Attributes:
-        factor: at least 1; at most 32, where nothing was found.
+        factor: at least 1, at most 32.
         share: of the closures that are right, by the model.
         gain: by how much the logarithm of the likelihood is larger than that of "none is right".
     """
@@ -56,8 +58,8 @@ class OdometryScale:
 
     @property
     def found(self) -> bool:
-        """False at the end of what was looked at: odometry says nothing of these closures."""
-        return self.factor < LARGEST
+        """False where no factor is likelier than that none is right, or only the largest one."""
+        return self.factor < LARGEST and self.gain > LIKELIER
 
 
 def odometry_scale(loops: OwnLoops, extent: Float[np.ndarray, " s"]) -> OdometryScale:

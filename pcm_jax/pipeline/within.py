@@ -386,7 +386,7 @@ def _found(trial: _Trial) -> str:
     under = (
         "as stated"
         if trial.factor == 1.0
-        else f"were its errors {trial.factor:.3g} times as stated"
+        else f"were its errors {trial.factor:.3g} times those stated"
     )
     return (
         f"{trial.found} of {len(trial.members)} closures agree with each other and odometry {under}"
