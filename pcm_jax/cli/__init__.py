@@ -4,7 +4,7 @@ entry        `main`: runs a command; errors and warnings become lines on standar
 _arguments   the options of all commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
-demo, formats, inspect, merge, simulate     one module per command, each with a `run(arguments)`
+calibrate, demo, formats, inspect, merge, simulate     one module a command, each with its `run`
 _hints       options that mend a fit that cannot be meant, followed before they are named
 _outputs     where results may be written, checked before anything is computed
 _merged_files     a merge's maps group by group, or robot by robot; rejected closures

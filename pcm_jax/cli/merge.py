@@ -52,8 +52,22 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     seconds = {"read": time.perf_counter() - start}
     result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
     report = {**result.report(), **cleaned, "input": given.as_dict()}
+    report["calibration"] = _calibration(options, given.graph, result, progress)
     report["hints"] = list(_hints(options, given.graph, report, progress))
     return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
+
+
+def _calibration(
+    options: Any, graph: Any, result: Any, progress: Progress
+) -> dict[str, Any] | None:
+    """The factors on stated information by the closures that were accepted, where asked for."""
+    if not options.calibrate:
+        return None
+    from pcm_jax.pipeline import calibrate
+
+    progress("calibrating")
+    accepted = None if result.selection is not None else result.accepted
+    return calibrate(graph, accepted).as_dict()
 
 
 def _merge(
@@ -192,6 +206,8 @@ def summary(report: dict[str, Any]) -> str:
     parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
     if report.get("input", {}).get("cuts"):
         parts.insert(0, "\n".join(report["input"]["cuts"]))
+    if report.get("calibration"):
+        parts.append("\n".join(report["calibration"]["advice"]))
     if "cleaned" in report:
         parts.insert(0, _maps(report["cleaned"]))
     if not any(pair["accepted"] for pair in report["robot_pairs"]):
