@@ -16,8 +16,8 @@ Graph = TypeVar("Graph", PoseGraph, MultiRobotGraph)
 
 ALIKE = 1.25
 """Times, up or down: a factor on the information that is no news."""
-SQUARE_ROOT = 1.25
-"""Times, up or down: how near a factor is to the information itself if that is its square root."""
+NEAR_IT = 1.1
+"""Times, beyond the interval's ends: a factor is the information itself, so that is a root."""
 
 
 class Factor(float):
@@ -163,11 +163,14 @@ class Calibration:
         }
 
     def _is_square_root(self) -> bool:
-        known = np.array([factor.known for factor in self.factors])
-        ratio = np.array(self.factors)[known] / self.median_information[known]
-        near = np.abs(np.log(ratio)).max(initial=0.0) < np.log(SQUARE_ROOT)
-        news = np.abs(np.log(np.array(self.factors)[known])).max(initial=0.0) > np.log(ALIKE)
-        return bool(known.any() and near and news)
+        """True where every factor that is known may be the information itself, and none is 1."""
+        known = [row for row, factor in enumerate(self.factors) if factor.known]
+        for row in known:
+            low, high = self.factors[row].interval
+            own = self.median_information[row]
+            if low <= 1.0 <= high or not low / NEAR_IT <= own <= high * NEAR_IT:
+                return False
+        return bool(known)
 
 
 def closing_edges(pose_graph: PoseGraph) -> Bool[np.ndarray, " e"]:

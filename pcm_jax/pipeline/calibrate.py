@@ -41,7 +41,8 @@ ROUNDS = 3
 WIDER = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Times the stated deviations, for closures of which few agree as stated."""
 MORE, KEPT = 1.5, 0.9
-"""A wider gate is taken if it lets so many times more agree, and keeps so many of those before."""
+"""A wider gate is taken if it lets so many times more agree, and keeps so many of those before. At
+the first that is not, gates are wide enough: of yet wider ones false closures would agree."""
 DIRTY = 4.0
 """Times the variance of normal residuals: a map with false loops."""
 BETTER = 0.1
@@ -49,7 +50,7 @@ BETTER = 0.1
 does not has small deviations."""
 FEW = 3
 """Loops of a map below which that cannot be told."""
-LIMIT = 20.0
+LIMIT = 5.0
 """Seconds for a clique."""
 
 
@@ -100,7 +101,7 @@ def calibrate(
     components = _components(cleaned, own, chosen, gate, seed)
     for _ in range(ROUNDS if accepted is None and chosen.accepted.any() else 0):
         scaled = scaled_graph(cleaned, 1.0 / components.variance)
-        again = _agreeing(scaled, None, gate, seed)
+        again = _agreeing(scaled, None, gate, seed, widen=False)
         if (again.accepted == chosen.accepted).all() or not again.accepted.any():
             break
         chosen = again
@@ -190,26 +191,26 @@ def _cleaned(one: PoseGraph, confidence: float, seed: int) -> PoseGraph | None:
     return kept.graph if kept.accepted.any() else None
 
 
-def _agreeing(graph: MultiRobotGraph, evidence: Evidence | None, gate: float, seed: int) -> _Chosen:
-    """The closures that agree, under wider gates where clearly more do, beyond chance."""
-    nothing = np.zeros(len(graph.closures), bool)
+def _agreeing(
+    graph: MultiRobotGraph, evidence: Evidence | None, gate: float, seed: int, *, widen: bool = True
+) -> _Chosen:
+    """The closures that agree; under wider gates as long as each lets clearly more agree."""
+    best = _Chosen(np.zeros(len(graph.closures), bool), 1.0, gated=False)
     if not len(graph.closures):
-        return _Chosen(nothing, 1.0, gated=False)
-    pairs = (evidence or weigh(graph, optimized=evidence is None)).pairs
-    best = _Chosen(nothing, 1.0, gated=True)
-    for wider in WIDER:
-        accepted = nothing.copy()
+        return best
+    pairs = (evidence or weigh(graph)).pairs
+    for wider in WIDER if widen else WIDER[:1]:
+        accepted = best.accepted.copy()
         for pair in pairs:
             members = choose(pair, gate * wider**2, time_limit=LIMIT).members
-            before = best.accepted[pair.closures]
+            before = accepted[pair.closures]
             more = members.sum() > MORE * before.sum()
             kept = (members & before).sum() >= KEPT * before.sum()
             if more and kept and _beyond_chance(pair, gate * wider**2, members, seed):
                 accepted[pair.closures] = members
-            else:
-                accepted[pair.closures] = before
-        if accepted.sum() > best.accepted.sum():
-            best = _Chosen(accepted, wider, gated=True)
+        if best.accepted.any() and accepted.sum() <= MORE * best.accepted.sum():
+            break
+        best = _Chosen(accepted, wider, gated=bool(accepted.any()))
     return best
 
 

@@ -18,43 +18,28 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
-    PairEvidence,
     chi2_gate,
     odometry_edges,
-    own_loops,
-    squared_mahalanobis,
-    squared_own_loops,
-    with_odometry_errors,
-    within_problem,
 )
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity import SIGNIFICANCE, ChanceLevel, Places, Verdict
-from pcm_jax.integrity.odometry import odometry_scale as estimated_scale
-from pcm_jax.integrity.places import longest_run
-from pcm_jax.integrity.within import Loops, level_of_measurements, level_of_poses
+from pcm_jax.integrity.within import level_of_measurements, level_of_poses
+from pcm_jax.pipeline._within_trials import Asked, Trial, Trials
 from pcm_jax.pipeline.select import CHANCE, check_minimum
-from pcm_jax.selection.choose import Method, check_method, choose
-from pcm_jax.selection.method import Choice
+from pcm_jax.selection.choose import Method, check_method
 from pcm_jax.selection.methods import METHODS
 from pcm_jax.selection.within_one_map import WithinSelection
 
 TIME_LIMIT = 60.0  # seconds
-AS_GOOD = 0.9
-"""Of the closures that agree under another scale: if so many do as stated, it is as stated. And of
-those as stated: what a set under another scale must keep, else it is another answer."""
 PAIR = 2
 """Closures that suffice without odometry's word, which the tests of chance go by."""
-MOST = 1500
-"""Closures that are shuffled; of more, so many drawn at random."""
 
 
 @on_host
@@ -116,12 +101,12 @@ def select_within(
     check_minimum(minimum_inliers, significance)
     _check_numbers(odometry_scale, significance, separation)
     gate = float(chi2_gate(confidence, pose_graph.tangent_dim))
-    asked = _Asked(gate, method, own_loop, options, separation)
+    asked = Asked(gate, method, own_loop, options, separation)
     start = time.perf_counter()
     odometry = np.zeros(pose_graph.num_edges, bool)
     odometry[odometry_edges(pose_graph)] = True
     closures = np.flatnonzero(~odometry)
-    trials = _Trials(pose_graph, closures, asked)
+    trials = Trials(pose_graph, closures, asked)
     found = trials.all(odometry_scale)
     chosen = time.perf_counter()
     if minimum_inliers == CHANCE and own_loop:
@@ -197,135 +182,12 @@ def clean_maps(
     return MultiRobotGraph(maps, graph.closures), selections
 
 
-class _Asked(NamedTuple):
-    """The question, checked."""
-
-    gate: float
-    method: Method
-    own_loop: bool
-    options: dict[str, Any]
-    separation: float | None
-
-
-class _Trial(NamedTuple):
-    """The closures that a method finds under one scale of odometry's errors.
-
-    Attributes:
-        factor: on odometry's standard deviations.
-        fitted: whether these closures themselves said so.
-        squared: float64 [m, m].
-        own_squared: float64 [m].
-        choice: among the closures that agree with odometry.
-        members: bool [m].
-    """
-
-    factor: float
-    fitted: bool
-    squared: Float[np.ndarray, "m m"]
-    own_squared: Float[np.ndarray, " m"]
-    choice: Choice
-    members: Bool[np.ndarray, " m"]
-
-    @property
-    def found(self) -> int:
-        return int(self.members.sum())
-
-
-class _Trials:
-    """One map's closures, to be tried under several scales of odometry's errors."""
-
-    def __init__(self, graph: PoseGraph, closures: np.ndarray, asked: _Asked):
-        self.graph, self.closures, self.asked, self.measuring = graph, closures, asked, 0.0
-        self.problem = within_problem(graph)
-        odometry = lie.take(lie.as_numpy(graph.measurement), odometry_edges(graph))
-        steps = np.linalg.norm(lie.translation(odometry), axis=1)
-        way = np.concatenate([[0.0], np.cumsum(steps)])
-        ends = np.stack([np.asarray(graph.tail), np.asarray(graph.head)])[:, closures]
-        self.ends = np.sort(ends, axis=0)
-        self.ways, self.step = (way[self.ends[0]], way[self.ends[1]]), way[-1] / max(1, len(steps))
-        touched = [
-            lie.translation(lie.as_numpy(p)) for p in (self.problem.pose_a, self.problem.pose_b)
-        ]
-        self.extent = np.ptp(np.concatenate(touched), axis=0)
-
-    def all(self, given: float | None) -> list[_Trial]:
-        """The trials that may be believed, the preferred one first."""
-        if given is not None:
-            return [self._at(given, fitted=False)]
-        stated = self._at(1.0, fitted=False)
-        if not self.asked.own_loop or not len(self.closures):
-            return [stated]
-        loops = own_loops(self.problem)
-        scale = estimated_scale(loops, self.extent)
-        if scale.factor == 1.0 or not scale.found:
-            return [stated]
-        fitted = self._at(scale.factor, fitted=True)
-        if stated.found >= AS_GOOD * fitted.found:
-            return [stated]
-        contained = np.count_nonzero(fitted.members & stated.members) >= AS_GOOD * stated.found
-        return [fitted, stated] if contained else [stated, fitted]
-
-    def _at(self, factor: float, *, fitted: bool) -> _Trial:
-        start = time.perf_counter()
-        problem = with_odometry_errors(self.problem, factor) if factor != 1.0 else self.problem
-        squared = np.asarray(squared_mahalanobis(problem))
-        own_squared = np.asarray(squared_own_loops(problem))
-        self.measuring += time.perf_counter() - start
-        agreeing = (own_squared <= self.asked.gate) | (not self.asked.own_loop)
-        choice, members = self._chosen(squared, np.flatnonzero(agreeing))
-        return _Trial(factor, fitted, squared, own_squared, choice, members)
-
-    def _chosen(self, squared: np.ndarray, among: np.ndarray) -> tuple[Choice, np.ndarray]:
-        evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
-        asked = self.asked
-        choice = choose(evidence, asked.gate, method=asked.method, **asked.options)
-        members = np.zeros(len(squared), bool)
-        members[among] = choice.members
-        return choice, members
-
-    def places(self, trial: _Trial) -> Places:
-        """Where the closures lie; the separation is that of the trial's set."""
-        separation = self.asked.separation
-        if separation is None:
-            evidence = PairEvidence.from_squared(trial.squared)
-            steps = (self.step, self.step)
-            separation = longest_run(evidence, self.asked.gate, trial.members, self.ways, steps)
-        return Places(self.ways[0], self.ways[1], float(separation))
-
-    def loops(self, places: Places) -> Loops:
-        """The closures, for tests of chance."""
-        return Loops(self.graph, self.problem, places, self.extent)
-
-    def some(self, places: Places, generator: np.random.Generator) -> tuple[Loops, np.ndarray]:
-        """The closures that are shuffled, and which they are."""
-        count = len(self.closures)
-        if count <= MOST:
-            return self.loops(places), np.arange(count)
-        chosen = np.sort(generator.choice(count, MOST, replace=False))
-        graph = self.graph.with_edges(
-            np.concatenate([odometry_edges(self.graph), self.closures[chosen]])
-        )
-        thinned = Places(self.ways[0][chosen], self.ways[1][chosen], places.separation)
-        return Loops(graph, within_problem(graph), thinned, self.extent), chosen
-
-    def contradicting(self, trial: _Trial) -> str:
-        """Says so where closures agree among themselves, but hardly any with odometry."""
-        agreeing = int(np.count_nonzero(trial.own_squared <= self.asked.gate))
-        _, among_all = self._chosen(trial.squared, np.arange(len(trial.members)))
-        if among_all.sum() < 3 or 2 * agreeing > among_all.sum():
-            return ""
-        return (
-            f"; everything contradicts odometry: {among_all.sum()} of {len(trial.members)} closures"
-            f" agree among themselves, but only {agreeing} with odometry"
-        )
-
-
 def _by_chance(
-    trials: _Trials, found: list[_Trial], significance: float, seed: int
-) -> tuple[_Trial, Verdict]:
+    trials: Trials, found: list[Trial], significance: float, seed: int
+) -> tuple[Trial, Verdict]:
     """The first trial that is beyond chance; the last one if none is."""
     share = significance / len(found)
-    judged: list[tuple[_Trial, Verdict]] = []
+    judged: list[tuple[Trial, Verdict]] = []
     for trial in found:
         places = trials.places(trial)
         if trial.fitted:
@@ -351,7 +213,7 @@ def _by_chance(
 
 
 def _either(
-    trials: _Trials, trial: _Trial, places: Places, significance: float, seed: int
+    trials: Trials, trial: Trial, places: Places, significance: float, seed: int
 ) -> tuple[ChanceLevel, bool]:
     """Either test of chance, each at half the level; the one that passes, or the smaller p."""
     gate, half = trials.asked.gate, 0.5 * significance
@@ -370,7 +232,7 @@ def _either(
     return best, measured.p_value <= half
 
 
-def _by_number(trials: _Trials, trial: _Trial, minimum: int) -> Verdict:
+def _by_number(trials: Trials, trial: Trial, minimum: int) -> Verdict:
     places = trials.places(trial)
     why = f"{_found(trial)}, {minimum} asked for"
     return Verdict(
@@ -382,7 +244,7 @@ def _by_number(trials: _Trials, trial: _Trial, minimum: int) -> Verdict:
     )
 
 
-def _found(trial: _Trial) -> str:
+def _found(trial: Trial) -> str:
     under = (
         "as stated"
         if trial.factor == 1.0
@@ -394,7 +256,7 @@ def _found(trial: _Trial) -> str:
 
 
 def _why(
-    trial: _Trial, places: Places, chance: ChanceLevel, significance: float, passes: bool
+    trial: Trial, places: Places, chance: ChanceLevel, significance: float, passes: bool
 ) -> str:
     if not len(trial.members):
         return "no closures"
