@@ -6,7 +6,7 @@ rivals   the best set that implies another alignment
 odometry  the scale of odometry's errors, as the closures inside one map tell it
 within   how often closures of which none is right agree with odometry inside one map
 verdict  what is believed, all pairs of robots together, and why
-_variance_components  the factors on stated variances, by restricted likelihood
+variance_components  the factors on stated variances, by restricted likelihood
 calibration  `Calibration`: these factors, in numbers and in words
 team     cycles of robots: whether the alignments of a team's pairs fit together
 """

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.integrity._variance_components import Components, scaled_information
+from pcm_jax.integrity.variance_components import Components, scaled_information
 
 Graph = TypeVar("Graph", PoseGraph, MultiRobotGraph)
 

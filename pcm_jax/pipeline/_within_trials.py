@@ -120,7 +120,7 @@ class Trials:
         return choice, members
 
     def places(self, trial: Trial) -> Places:
-        """Where the closures lie; the separation is that of the trial's set."""
+        """The places of the closures; the separation is that of the trial's set."""
         separation = self.asked.separation
         if separation is None:
             evidence = PairEvidence.from_squared(trial.squared)

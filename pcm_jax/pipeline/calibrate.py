@@ -19,7 +19,6 @@ from pcm_jax.consistency import Evidence, PairEvidence, chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity import SIGNIFICANCE, chance_level, places_of
-from pcm_jax.integrity._variance_components import Components, Part, variance_components
 from pcm_jax.integrity.calibration import (
     Calibration,
     Factor,
@@ -27,6 +26,7 @@ from pcm_jax.integrity.calibration import (
     closing_edges,
     scaled_graph,
 )
+from pcm_jax.integrity.variance_components import Components, Part, variance_components
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import TOO_BAD
 from pcm_jax.merging._alignment import aligned_anchors

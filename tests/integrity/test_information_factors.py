@@ -10,12 +10,12 @@ import pcm_jax
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.integrity._variance_components import (
+from pcm_jax.integrity.calibration import Factor, closing_edges, scaled_graph
+from pcm_jax.integrity.variance_components import (
     Part,
     scaled_information,
     variance_components,
 )
-from pcm_jax.integrity.calibration import Factor, closing_edges, scaled_graph
 from pcm_jax.mapping import optimize
 from pcm_jax.mapping._linearization import linearize
 from pcm_jax.mapping.least_squares import padded_edges
