@@ -57,6 +57,7 @@ def parser() -> argparse.ArgumentParser:
     _merge(commands)
     _inspect(commands)
     _explain(commands)
+    _calibrate(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
@@ -158,6 +159,11 @@ def _merge(commands: Any) -> None:
         help="before that, drop loop closures inside each robot's own map by PCM, at the same "
         "confidence: those that disagree with its odometry or among themselves",
     )
+    merge.add_argument(
+        "--calibrate",
+        action="store_true",
+        help="say in the report and below the table by which factors the stated information is off",
+    )
     _reading(merge)
     merge.add_argument(
         "--output",
@@ -203,6 +209,52 @@ def _explain(commands: Any) -> None:
     explain.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
+def _calibrate(commands: Any) -> None:
+    calibrate = _command(
+        commands,
+        "calibrate",
+        "Say by which factors the stated information of odometry and of closures is off, from "
+        "loops inside the maps and closures between robots that agree.",
+    )
+    _files(calibrate)
+    calibrate.add_argument(
+        "--split", choices=("components",), help="make a robot of each session in a file"
+    )
+    calibrate.add_argument(
+        "--drift",
+        type=_positive,
+        nargs=2,
+        metavar=("PERCENT", "DEG_PER_M"),
+        help="odometry's error after 100 m, in place of the information that files state",
+    )
+    calibrate.add_argument(
+        "--closure-sigmas",
+        type=_positive,
+        nargs=2,
+        metavar=("M", "RAD"),
+        help="standard deviations of closures, in place of the information that files state",
+    )
+    calibrate.add_argument(
+        "--confidence",
+        type=float,
+        metavar="P",
+        default=0.99,
+        help="probability that two right closures pass the gate (default: %(default)s)",
+    )
+    calibrate.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the rescaled graph, as g2o"
+    )
+    calibrate.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="write a picture of residuals against what they should be",
+    )
+    calibrate.add_argument("--json", action="store_true", help="print JSON instead of text")
+    _seed(calibrate, "of simulated errors (default: 0)")
+    _reading(calibrate)
+
+
 def _simulate(commands: Any) -> None:
     simulate = _command(
         commands, "simulate", "Write simulated maps, candidate closures and which of them are true."
@@ -244,6 +296,13 @@ def _seconds(text: str) -> float:
     if not seconds > 0.0:
         raise argparse.ArgumentTypeError(f"{text} given, expected seconds above 0")
     return seconds
+
+
+def _positive(text: str) -> float:
+    number = float(text)
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} given, expected a number above 0")
+    return number
 
 
 def _files(command: argparse.ArgumentParser) -> None:

@@ -48,7 +48,15 @@ from pcm_jax.consistency.streaming import (
     stream_consistency_graph,
     stream_from_covariances,
 )
-from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
+from pcm_jax.consistency.within import (
+    OwnLoops,
+    WithinProblem,
+    odometry_edges,
+    own_loops,
+    reordered,
+    with_odometry_errors,
+    within_problem,
+)
 
 __all__ = [
     "AlignmentDifference",
@@ -56,6 +64,7 @@ __all__ = [
     "ConsistentPairs",
     "Evidence",
     "JointConsistency",
+    "OwnLoops",
     "PackedGraph",
     "PairEvidence",
     "WithinProblem",
@@ -66,7 +75,9 @@ __all__ = [
     "joint_consistency",
     "loop_error",
     "odometry_edges",
+    "own_loops",
     "problem_from_covariances",
+    "reordered",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
     "squared_on_host",
@@ -75,5 +86,6 @@ __all__ = [
     "stream_consistency_graph",
     "stream_from_covariances",
     "to_networkx",
+    "with_odometry_errors",
     "within_problem",
 ]

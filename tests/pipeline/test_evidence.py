@@ -11,8 +11,8 @@ from pcm_jax.errors import InputError
 from pcm_jax.experiments import Method, compare_methods
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import covariance, optimize
-from pcm_jax.pipeline import merge, select, weigh
-from pcm_jax.selection import select_from, select_within
+from pcm_jax.pipeline import merge, select, select_within, weigh
+from pcm_jax.selection import select_from
 from pcm_jax.simulation import simulate_city
 
 
