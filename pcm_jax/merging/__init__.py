@@ -1,7 +1,7 @@
 """Step iv: one map from several, with the accepted closures only.
 
 groups           which robots the accepted closures connect
-_alignment       where each map lies in its group's frame, from the closures alone: a start
+alignment        where each map lies in its group's frame, from the closures alone: a start
 _frames          whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit

@@ -29,7 +29,7 @@ from pcm_jax.integrity.calibration import (
 from pcm_jax.integrity.variance_components import Components, Part, variance_components
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import TOO_BAD
-from pcm_jax.merging._alignment import aligned_anchors
+from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import closures_within, robot_groups
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.pipeline.weigh import weigh
