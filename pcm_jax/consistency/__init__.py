@@ -9,6 +9,7 @@ _relative           G, the covariance of the differences of poses' errors, in on
 problem             `consistency_problem`: what Q needs of two maps and the closures between them
 within              the same for the closures inside one robot's own map
 definition          the loop error (eq. 4) by automatic differentiation: the specification
+_limit              q² of closures that leave directions unsaid
 _closed_form        the same number without a Jacobian, for all pairs in one vectorised loop
 mahalanobis         `squared_mahalanobis`: either of the two, compiled
 _single_precision   what float32 would change

@@ -124,7 +124,7 @@ class PoseFile:
         path: the file.
         group: `jaxlie.SE2` or `jaxlie.SE3`.
         vertices: its poses.
-        edges: its measurements, information positive definite.
+        edges: its measurements; information that is singular is for closures alone.
         comments: its comment lines.
         clipped: how many information matrices were repaired.
         format: the format's name.
@@ -190,7 +190,7 @@ def in_order(group: type[Any], parts: Sequence[Lines], ends: int) -> Lines:
 
 
 def checked(path: str, edges: Lines, repair: str | None) -> tuple[Lines, int]:
-    """Edges between different poses with positive definite information; how many were repaired."""
+    """Edges between different poses, their information as by `definite`; how many were repaired."""
     fault = line_fault(path, edges.line)
     check_self_loops(edges.ids[:, 0], edges.ids[:, 1], fault)
     information, clipped = definite(edges.information, fault, repair)
@@ -200,13 +200,30 @@ def checked(path: str, edges: Lines, repair: str | None) -> tuple[Lines, int]:
 def definite(
     information: Float[np.ndarray, "e d d"], fault: Fault, repair: str | None
 ) -> tuple[Float[np.ndarray, "e d d"], int]:
-    """Positive definite `[e, d, d]`, and how many were clipped to be that.
+    """Information `[e, d, d]` without a negative eigenvalue, and how many were clipped for that.
+
+    What lacks some directions (`graph.unsaid`) may be a closure's, and is kept where nothing is to
+    be repaired; a map's own edges lack none (`check_definite`).
 
     Raises:
-        InputError: through `fault`, for one that is not and is not to be repaired.
+        InputError: through `fault`, for one that has a negative eigenvalue, or is zero.
     """
-    clipped = 0
     if repair == "clip":
         information, clipped = clip_to_definite(information)
-    hint = "" if repair else '; repair="clip" (--repair clip) would clip its eigenvalues'
-    return check_information(information, lambda row, text: fault(row, text + hint)), clipped
+        return check_information(information, fault), clipped
+    return check_information(information, _hinted(fault), singular=True), 0
+
+
+def check_definite(information: Float[np.ndarray, "e d d"], fault: Fault) -> None:
+    """Raises `InputError` through `fault` unless a map's edges have positive definite information.
+
+    Args:
+        information: of `definite`.
+        fault: names the culprit.
+    """
+    check_information(information, _hinted(fault))
+
+
+def _hinted(fault: Fault) -> Fault:
+    hint = '; repair="clip" (--repair clip) would clip its eigenvalues'
+    return lambda row, text: fault(row, text + hint)

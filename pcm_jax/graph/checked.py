@@ -93,7 +93,12 @@ def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
 
 
 def as_information(
-    information: Any, covariance: Any, transforms: Any, tangent_order: str
+    information: Any,
+    covariance: Any,
+    transforms: Any,
+    tangent_order: str,
+    *,
+    singular: bool = False,
 ) -> Float[np.ndarray, "m d d"]:
     """Information `[m, d, d]` over (translation, rotation), symmetric and positive definite.
 
@@ -102,6 +107,7 @@ def as_information(
         covariance: `[m, d, d]`, or None where `information` is given.
         transforms: the measurements, NumPy-backed `[m]`.
         tangent_order: one of `ORDERS`, of the rows and columns given.
+        singular: whether information may lack directions (`graph.unsaid`), but not all of them.
 
     Raises:
         InputError: unless exactly one is given; for a wrong shape; for a matrix that is not
@@ -116,7 +122,10 @@ def as_information(
     matrices = as_floats(given, argument, f"an array {(count, d, d)}")
     if matrices.shape != (count, d, d):
         raise InputError(f"{argument}: shape {matrices.shape} given, expected {(count, d, d)}")
-    matrices = validation.check_information(matrices, argument_fault(argument), argument)
+    singular = singular and covariance is None
+    matrices = validation.check_information(
+        matrices, argument_fault(argument), argument, singular=singular
+    )
     if covariance is not None:
         matrices = np.linalg.inv(matrices)
         matrices = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))

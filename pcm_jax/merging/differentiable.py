@@ -110,7 +110,8 @@ def merge_differentiable(
 
     Raises:
         InputError: for an unknown solver, another number of weights than closures, or a map with
-            priors, which have no derivative here (inside a transformation they are lost before).
+            priors, which have no derivative here (inside a transformation they are lost before);
+            for closures of singular information.
     """
     if solver not in SOLVERS:
         raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
@@ -126,8 +127,19 @@ def merge_differentiable(
     leaves = jax.tree.leaves((graph, weights))
     if not any(isinstance(leaf, Tracer) for leaf in leaves):
         graph, weights = jax.tree.map(np.asarray, (graph, weights))
+        _check_all_said(graph)
     with _scope(graph):
         return _merged(solver, graph, jnp.asarray(weights, graph.closures.information.dtype))
+
+
+def _check_all_said(graph: MultiRobotGraph) -> None:
+    """Raises `InputError` for singular information other than padding's zeros."""
+    rank = graph.closures.rank
+    lacking = np.flatnonzero((rank > 0) & (rank < graph.closures.tangent_dim))
+    if lacking.size:
+        raise InputError(
+            f"closures[{lacking[0]}]: information of rank {rank[lacking[0]]}, expected full rank"
+        )
 
 
 @contextmanager

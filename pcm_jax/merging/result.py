@@ -15,6 +15,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging._strain import strain
+from pcm_jax.merging._untied import untied
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.robust import RobustSolution
@@ -119,6 +120,12 @@ class MergeResult:
             if cycle.p < UNLIKELY:
                 around = " – ".join(names[robot] for robot in cycle.robots)
                 told.append(f"the alignments around {around} do not fit (p = {cycle.p:.2g})")
+        for robot, directions in untied(self.graph, self.groups).items():
+            told.append(
+                f"robot {names[robot]!r}: {len(directions)} of {self.graph.tangent_dim} directions"
+                f" of its place ({', '.join(directions)}) are tied by no accepted closure; they"
+                " stay where the closures' measurements put them"
+            )
         strained = strain(self.graph, self.solution.normalized_chi2)
         return told + ([strained] if strained else [])
 

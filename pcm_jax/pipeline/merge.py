@@ -17,6 +17,7 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.mapping.priors import freedom_added
 from pcm_jax.merging._alignment import aligned_anchors
+from pcm_jax.merging._untied import untied
 from pcm_jax.merging.compile_time import CompileClock
 from pcm_jax.merging.frames import in_frame_of_priors, of_one_frame, with_priors
 from pcm_jax.merging.groups import closures_within, robot_groups
@@ -138,6 +139,7 @@ def merge(
         gate = chosen.gate
         if kind == "robust":
             check_weights(method, given)
+            _check_all_said(method, given.closures)
             gate = float(chi2_gate(_or(confidence, CONFIDENCE), given.tangent_dim))
             names = {"method": method, "solver": solver or "levenberg-marquardt", "engine": engine}
             robust = solve_robustly(own, gate=gate, **names, **options)  # type: ignore[arg-type]
@@ -167,6 +169,16 @@ def merge(
         seconds=seconds,
         robust=robust,
     )
+
+
+def _check_all_said(method: Any, closures: LoopClosures) -> None:
+    """Raises `InputError` for singular information, of whose rank a robust method knows nothing."""
+    lacking = int((closures.rank < closures.tangent_dim).sum())
+    if lacking:
+        raise InputError(
+            f"method: {method!r} with {lacking} closures of singular information, expected a"
+            ' selection method (or repair="clip" on reading)'
+        )
 
 
 def _or(value: Any, default: Any) -> Any:
@@ -316,6 +328,10 @@ def _solve(
         for robot, own in cut_apart(graph, members, merged):
             poses[robot] = own
     maps, anchors = _placed(graph, poses)
+    used = graph.closures[accepted]
+    freedom -= int((used.tangent_dim - used.rank).sum())
+    free = untied(MultiRobotGraph(maps, used), groups)
+    freedom += sum(len(directions) for directions in free.values())
     return _Solved(maps, anchors, _summary(solutions, freedom), groups)
 
 

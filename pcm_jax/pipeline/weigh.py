@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
@@ -16,10 +16,10 @@ from pcm_jax.consistency import (
     PackedGraph,
     PairEvidence,
     problem_from_covariances,
-    squared_mahalanobis,
     stream_from_covariances,
 )
 from pcm_jax.consistency.evidence import checked_squared
+from pcm_jax.consistency.mahalanobis import limits_of
 from pcm_jax.consistency.problem import bytes_needed, check_pair
 from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
@@ -97,7 +97,8 @@ def weigh(
         elif bytes_needed(closures) > memory_limit:
             found["_stream"] = functools.partial(_streamed, *both, closures, progress=tell)
         else:
-            found["_squared"] = _weighed(*both, closures, watch)
+            squared, freedom = _weighed(*both, closures, watch)
+            found |= {"_squared": squared, "_freedom": freedom}
         pairs.append(PairEvidence(a, b, indices, closures, both, **found))
     tell("consistency", len(between), len(between))
     name = getattr(metric, "__name__", "function") if callable(metric) else MAHALANOBIS
@@ -139,11 +140,13 @@ def _optimised(pose_graph: PoseGraph) -> PoseGraph:
 
 def _weighed(
     a: MapCovariance, b: MapCovariance, closures: LoopClosures, watch: StopWatch
-) -> Float[np.ndarray, "k k"]:
+) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"] | None]:
+    """Squared distances, and the degrees of freedom where some have fewer than d."""
     with watch("marginals"):
         problem = problem_from_covariances(a, b, closures)
     with watch("consistency"):
-        return np.asarray(squared_mahalanobis(problem))
+        squared, freedom = limits_of(problem)
+        return np.asarray(squared), None if freedom is None else np.asarray(freedom)
 
 
 def _streamed(

@@ -90,7 +90,7 @@ def choose(
     if evidence.is_streamed and not needs_distances(method, options):
         own = {name: value for name, value in options.items() if name != "tie_break"}
         return METHODS[method].choose_in(evidence.consistent(gate), **own)  # type: ignore[misc]
-    return METHODS[method].choose(evidence.squared, gate, **options)  # type: ignore[misc]
+    return METHODS[method].choose(evidence.comparable, gate, **options)  # type: ignore[misc]
 
 
 def needs_distances(method: Method, options: dict[str, Any]) -> bool:
