@@ -48,7 +48,7 @@ def run(options: Any) -> None:
 
 
 def _read(options: Any) -> Given:
-    """What files hold; information that is refused is clipped, to say how many need it."""
+    """Reads files; information that is refused is clipped, to say how many need it."""
     try:
         return read(options)
     except InputError:

@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.consistency._limit import comparable
 from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import ConsistencyProblem, problem_from_covariances
 from pcm_jax.consistency.shuffled import ShuffledByMetric, ShuffledClosures
-from pcm_jax.consistency.streaming import PackedGraph
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance

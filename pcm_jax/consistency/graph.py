@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from pcm_jax.arrays import device_array, standard_rules
+from pcm_jax.arrays import as_real, device_array, standard_rules
 from pcm_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,20 +27,26 @@ def consistency_graph(squared: Float[Array, "*batch m m"], gate: Any) -> Bool[Ar
     Args:
         squared: squared distances, `[u, v]` not necessarily equal to `[v, u]`. NaN agrees with
             nothing.
-        gate: γ², see `chi2_gate`.
+        gate: γ², see `chi2_gate`: one number.
 
     Returns:
         Symmetric, the diagonal false; NumPy for NumPy, else JAX, safe under jit and vmap.
 
     Raises:
-        InputError: when `squared` is not square.
+        InputError: when `squared` is not a square matrix of real numbers, or a concrete gate is not
+            one number of at least 0.
     """
+    if not isinstance(squared, jax.Array):
+        squared = cast(Any, as_real(squared, "squared"))
     if squared.ndim < 2 or squared.shape[-1] != squared.shape[-2]:
         raise InputError(f"squared: shape {tuple(squared.shape)}; expected [m, m]")
     if isinstance(squared, Tracer) or isinstance(gate, Tracer):
         return _within_both_ways(squared, gate, jnp)
+    level = as_real(gate, "gate")
+    if level.ndim or not level >= 0.0:
+        raise InputError(f"gate: {gate}; expected one number of at least 0")
     # Concrete arrays by NumPy: eager JAX would compile for every number of closures.
-    graph = _within_both_ways(np.asarray(squared), np.asarray(gate), np)
+    graph = _within_both_ways(np.asarray(squared), level, np)
     return graph if isinstance(squared, np.ndarray) else device_array(graph, np.bool_)
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.files._scope import Scope
+from pcm_jax.files.source import LIMIT
 from pcm_jax.files.text import line_fault
 from pcm_jax.graph.validation import Fault, check_information, check_self_loops, clip_to_definite
 
@@ -30,7 +31,8 @@ class Reading:
     """The reading of a file's numbers: `read_graph`'s options, checked.
 
     `group` is that of the maps, where they were read before; `components` makes a robot of each
-    session of a file that no odometry links to another.
+    session of a file that no odometry links to another; `byte_limit` bounds what a file may have
+    after decompression.
 
     Raises:
         InputError: for a value that is not one of those expected.
@@ -44,8 +46,11 @@ class Reading:
     default_sigmas: tuple[float, float] | None = None
     group: type[Any] | None = None
     components: bool = False
+    byte_limit: int = LIMIT
 
     def __post_init__(self) -> None:
+        if not isinstance(self.byte_limit, int | np.integer) or self.byte_limit < 1:
+            raise InputError(f"byte_limit: {self.byte_limit!r} given, expected bytes, at least 1")
         allowed = {
             "information": INFORMATION,
             "rotation_information": ROTATION_INFORMATION,

@@ -60,11 +60,13 @@ def as_transforms(values: Any, argument: str, fault: Fault | None = None) -> Any
 def as_floats(values: Any, argument: str, expected: str) -> np.ndarray:
     """`values` as a float64 array; `InputError` with what was expected where they are none."""
     try:
-        return np.asarray(values, dtype=np.float64)
+        array = np.asarray(values)
+        array = array.astype(np.float64) if array.dtype.kind in "biufO" else None
     except (TypeError, ValueError):
-        raise InputError(
-            f"{argument}: {type(values).__name__} given, expected {expected}"
-        ) from None
+        array = None
+    if array is None or isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{argument}: {type(values).__name__} given, expected {expected}")
+    return array
 
 
 def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:

@@ -5,6 +5,7 @@ _alignment       where each map lies in its group's frame, from the closures alo
 frames           whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
+untied           directions in which closures of singular information leave a map free
 _strain          which part of a merge does not fit
 result           `MergeResult`: maps, anchors, groups; its report
 differentiable   `merge_differentiable`: the same solve as one traced function, with derivatives

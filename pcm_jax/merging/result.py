@@ -15,10 +15,10 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging._strain import strain
-from pcm_jax.merging._untied import untied
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.robust import RobustSolution
+from pcm_jax.merging.untied import untied
 from pcm_jax.selection import PairSelection, Selection
 
 UNLIKELY = 1e-3

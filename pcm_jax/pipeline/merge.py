@@ -17,7 +17,6 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.mapping.priors import freedom_added
 from pcm_jax.merging._alignment import aligned_anchors
-from pcm_jax.merging._untied import untied
 from pcm_jax.merging.compile_time import CompileClock
 from pcm_jax.merging.frames import in_frame_of_priors, of_one_frame, with_priors
 from pcm_jax.merging.groups import closures_within, robot_groups
@@ -25,6 +24,7 @@ from pcm_jax.merging.joint import cut_apart, joint_graph, solve_joint
 from pcm_jax.merging.result import MergeResult, MergeSolution
 from pcm_jax.merging.robust import ROBUST_METHODS, RobustSolution, solve_robustly
 from pcm_jax.merging.robust.methods import check_robust_options
+from pcm_jax.merging.untied import untied
 from pcm_jax.pipeline.select import OF_WEIGHING, check_graph, select
 from pcm_jax.pipeline.stages import STAGES, Progress, silent
 from pcm_jax.pipeline.weigh import optimized_maps

@@ -41,7 +41,8 @@ def by_projection(problem, u, v):
     take = lambda leaf, k: np.asarray(leaf)[k]  # noqa: E731
     seen = [
         lie.compose(
-            lie.take(lie.as_numpy(problem.pose_a), k), lie.take(lie.as_numpy(problem.measurement), k)
+            lie.take(lie.as_numpy(problem.pose_a), k),
+            lie.take(lie.as_numpy(problem.measurement), k),
         )
         for k in (u, v)
     ]
@@ -132,6 +133,7 @@ def test_what_stands_for_the_unbounded_variance_does_not_count():
 
 def test_the_compiled_kernel_is_that_of_numpy_and_has_a_gradient():
     problem = problem_of(jaxlie.SE2, (0, 1), count=5)
+
     def total(scale):
         noise = scale * problem.measurement_covariance
         own = dataclasses.replace(problem, measurement_covariance=noise)
@@ -255,7 +257,9 @@ def test_a_merge_is_that_of_the_plane_and_says_what_is_not_tied(worlds):
         other.solution.normalized_chi2, one.solution.normalized_chi2, rtol=1e-6
     )
     told = [line for line in other.warnings if "tied by no accepted closure" in line]
-    assert len(told) == 1 and "robot 'b': 3 of 6 directions of its place (z, roll, pitch)" in told[0]
+    assert (
+        len(told) == 1 and "robot 'b': 3 of 6 directions of its place (z, roll, pitch)" in told[0]
+    )
     assert other.warnings == other.report()["warnings"] and not one.warnings
     np.testing.assert_array_equal(
         other.graph.closures.information, deep.closures.information[accepted]

@@ -20,7 +20,15 @@ from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tagged import read_tagged, tagged_lines
 from pcm_jax.files.names import stem_of
 from pcm_jax.files.output import write_text
-from pcm_jax.files.scopes import FRAME_LINE, ORDER_LINE, ROBOT_LINE, TABLE_COLUMNS, TABLE_LINE
+from pcm_jax.files.scopes import (
+    FRAME_LINE,
+    ORDER_LINE,
+    ROBOT_LINE,
+    TABLE_COLUMNS,
+    TABLE_DIGEST_LINE,
+    TABLE_LINE,
+    table_digest,
+)
 from pcm_jax.graph import symbols
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -70,8 +78,12 @@ def write_g2o(
                 f"path: {table.name!r} cannot be named in a comment, expected printable text"
                 " without space around it"
             )
-        write_text(table, _id_table(graph.maps))
-        header = [TABLE_LINE.format(file=table.name)]
+        text = _id_table(graph.maps)
+        write_text(table, text)
+        header = [
+            TABLE_LINE.format(file=table.name),
+            TABLE_DIGEST_LINE.format(digest=table_digest(text)),
+        ]
     else:
         header, keys = original_keys(graph.maps, own_name=stem_of(str(path)))
     if any((np.diff(pose_graph.ids) < 0).any() for pose_graph in graph.maps):

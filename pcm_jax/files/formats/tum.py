@@ -29,7 +29,7 @@ from pcm_jax.files.output import write_text
 from pcm_jax.files.pose_file import PoseFile, Reading
 from pcm_jax.files.source import Source
 from pcm_jax.files.text import Rows, csv_rows, table_rows
-from pcm_jax.files.trajectories import trajectory_file
+from pcm_jax.files.trajectories import check_sigmas, trajectory_file
 from pcm_jax.graph import checked
 from pcm_jax.graph.pose_graph import PoseGraph
 
@@ -157,6 +157,7 @@ def _is_euroc(source: Source) -> float:
 
 
 def _read_tum(source: Source, reading: Reading) -> PoseFile:
+    check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(8, COLUMNS, len(source.lines))
     seconds, poses = _tum(rows)
@@ -164,6 +165,7 @@ def _read_tum(source: Source, reading: Reading) -> PoseFile:
 
 
 def _read_kitti(source: Source, reading: Reading) -> PoseFile:
+    check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(12, "the upper 3 x 4 of a matrix, row by row", len(source.lines))
     matrices = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -173,6 +175,7 @@ def _read_kitti(source: Source, reading: Reading) -> PoseFile:
 
 
 def _read_euroc(source: Source, reading: Reading) -> PoseFile:
+    check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(len(rows.first), "timestamp,x,y,z,qw,qx,qy,qz,…", len(source.lines))
     values = rows.floats(1, 8)
