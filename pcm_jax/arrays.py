@@ -103,16 +103,25 @@ def namespace(*values: Any) -> ModuleType:
     return np if given else jnp
 
 
+def as_array(values: Any, argument: str) -> np.ndarray:
+    """What NumPy makes of a user's values.
+
+    Raises:
+        InputError: where it makes nothing of them, as of rows of several lengths.
+    """
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        raise InputError(f"{argument}: {type(values).__name__} given, expected an array") from None
+
+
 def as_real(values: Any, argument: str) -> np.ndarray:
     """Numbers as float64: booleans, complex and masked ones are none.
 
     Raises:
         InputError: for anything else.
     """
-    try:
-        array = np.asarray(values)
-    except (TypeError, ValueError):
-        array = np.asarray(None)
+    array = as_array(values, argument)
     if array.dtype.kind not in "iuf" or isinstance(values, np.ma.MaskedArray):
         kind = type(values).__name__ if array.dtype.kind == "O" else array.dtype
         masked = "masked " * isinstance(values, np.ma.MaskedArray)

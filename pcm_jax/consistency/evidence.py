@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pcm_jax.arrays import as_array
 from pcm_jax.consistency._limit import comparable
 from pcm_jax.consistency.graph import consistency_graph
 from pcm_jax.consistency.packed import PackedGraph
@@ -63,7 +64,8 @@ class PairEvidence:
         Raises:
             InputError: unless it is a square matrix of numbers.
         """
-        return cls(0, 1, np.arange(len(squared)), _squared=checked_squared(squared))
+        checked = checked_squared(squared)
+        return cls(0, 1, np.arange(len(checked)), _squared=checked)
 
     def __len__(self) -> int:
         return len(self.closures)
@@ -224,7 +226,7 @@ def checked_squared(squared: Any, what: str = "squared") -> Float[np.ndarray, "k
     Raises:
         InputError: unless it is square, and of numbers.
     """
-    distances = np.asarray(squared)
+    distances = as_array(squared, what)
     if distances.ndim != 2 or distances.shape[0] != distances.shape[1]:
         raise InputError(f"{what}: shape {distances.shape}, expected [m, m]")
     if distances.dtype.kind not in "iuf":

@@ -10,7 +10,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from pcm_jax.arrays import as_real, device_array, standard_rules
+from pcm_jax.arrays import as_array, as_real, device_array, standard_rules
 from pcm_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -69,13 +69,18 @@ def to_networkx(
     """
     import networkx as nx
 
+    graph = cast(Any, as_array(graph, "graph"))
+    if graph.ndim != 2 or graph.shape[0] != graph.shape[1] or graph.dtype != bool:
+        raise InputError(f"graph: {graph.dtype} {graph.shape}, expected bool [m, m]")
     result: nx.Graph[int] = nx.Graph()
     result.add_nodes_from(range(len(graph)))
     u, v = np.nonzero(np.triu(np.asarray(graph), 1))
     if squared is None:
         result.add_edges_from(zip(u.tolist(), v.tolist(), strict=True))
         return result
-    values = np.asarray(squared)
+    values = as_real(squared, "squared")
+    if values.shape != graph.shape:
+        raise InputError(f"squared: shape {values.shape}, expected {graph.shape}")
     larger = np.maximum(values, values.T)[u, v]
     edges = zip(u.tolist(), v.tolist(), larger.tolist(), strict=True)
     result.add_weighted_edges_from(edges, weight="squared")

@@ -17,10 +17,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import on_host
+from pcm_jax.arrays import as_array, on_host
 from pcm_jax.consistency.evidence import PairEvidence
 from pcm_jax.consistency.stacked import StackedClosures, drops, fitted, stack_closures
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class
 
 UNKNOWN = 1e6
 """Variance of what no closure says anything of, m² or rad²: as good as none is known."""
@@ -230,8 +230,9 @@ def chosen_rows(evidence: PairEvidence, chosen: Any, argument: str) -> Int[np.nd
     Raises:
         InputError: for no closure, another length or dtype, an index out of range or given twice.
     """
+    check_class("evidence", evidence, "the PairEvidence of two robots", PairEvidence)
     count = len(evidence)
-    given = np.arange(count) if chosen is None else np.asarray(chosen)
+    given = np.arange(count) if chosen is None else as_array(chosen, argument)
     if given.dtype == bool:
         if given.shape != (count,):
             raise InputError(f"{argument}: shape {given.shape}, expected ({count},), one a closure")

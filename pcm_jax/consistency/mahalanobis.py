@@ -27,7 +27,7 @@ from pcm_jax.consistency._limit import Limit
 from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class
 
 Problem = ConsistencyProblem | WithinProblem
 
@@ -168,7 +168,8 @@ def squared_mahalanobis(
         InputError: for another kernel, or a mesh with the definition or with closures that leave
             directions unsaid.
     """
-    if kernel not in _KERNELS:
+    check_class("problem", problem, "a problem of closures", ConsistencyProblem, WithinProblem)
+    if not isinstance(kernel, str) or kernel not in _KERNELS:
         raise InputError(f"kernel: {kernel!r}; expected one of {', '.join(map(repr, _KERNELS))}")
     if mesh is None:
         return limits_of(problem, kernel=kernel).squared

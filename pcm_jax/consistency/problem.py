@@ -44,7 +44,7 @@ from jaxtyping import Array, Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, device_array, on_host, pad_leading
 from pcm_jax.consistency._relative import checked_joint, relative_covariance
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import InputError, InputWarning, check_class
 from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.mapping import MapCovariance
 
@@ -319,6 +319,11 @@ def check_pair(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> An
     Raises:
         InputError: as `consistency_problem` does.
     """
+    from pcm_jax.graph import LoopClosures, PoseGraph
+
+    check_class("map_a", map_a, "a PoseGraph", PoseGraph)
+    check_class("map_b", map_b, "a PoseGraph", PoseGraph)
+    check_class("closures", closures, "LoopClosures", LoopClosures)
     group = _common_group(map_a, map_b, closures)
     _check_one_pair(closures)
     _check_indices(np.asarray(closures.pose_a), map_a.num_poses, "pose_a")

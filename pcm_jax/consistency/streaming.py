@@ -31,12 +31,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array, on_host, pad_leading, shareable_zeros
+from pcm_jax.arrays import as_real, device_array, on_host, pad_leading, shareable_zeros
 from pcm_jax.consistency._closed_form import gather, per_closure, weigh
 from pcm_jax.consistency._limit import Limit, carried, gates
 from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import check_pair, padded
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.lie import unrolled
 from pcm_jax.mapping import MapCovariance
@@ -141,8 +141,10 @@ def stream_from_covariances(
 
 
 def _check_numbers(gate: float, panel: int) -> None:
-    if np.ndim(gate) or not float(gate) >= 0.0:
+    level = as_real(gate, "gate")
+    if level.ndim or not level >= 0.0:
         raise InputError(f"gate: {gate}; expected one squared distance, at least 0")
+    check_number("panel", panel, integer=True)
     if panel < TILE or panel % TILE:
         raise InputError(f"panel: {panel}; expected a multiple of {TILE}")
 

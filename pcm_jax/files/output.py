@@ -8,7 +8,7 @@ import os
 from os import PathLike
 from pathlib import Path
 
-from pcm_jax.errors import FileFormatError
+from pcm_jax.errors import FileFormatError, check_class
 from pcm_jax.store import written_whole
 
 
@@ -31,6 +31,7 @@ def check_target(path: str | PathLike[str]) -> Path:
 
 def write_text(path: str | PathLike[str], text: str) -> None:
     """`write_bytes` of the text in UTF-8, what it lacks escaped; `.gz` and `.xz` compress."""
+    check_class("path", path, "a path", str, PathLike)
     write_bytes(path, _compressed(Path(path).suffix, text.encode(errors="backslashreplace")))
 
 

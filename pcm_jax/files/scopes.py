@@ -234,11 +234,6 @@ def _table(file: PoseFile, number: int) -> Scope | None:
         )
         return None
     source = Source(table)
-    digests = [m[1] for text in file.comments if (m := _TABLE_DIGEST.fullmatch(text.rstrip()))]
-    if digests and digests[-1] != table_digest(source.data.decode(errors="replace")):
-        raise FileFormatError(
-            table, None, f"changed since {file.path} was written, whose ids it explains"
-        )
     rows = csv_rows(table, source.lines)
     if tuple(rows.first) != TABLE_COLUMNS:
         raise FileFormatError(table, 1, f"expected the columns {','.join(TABLE_COLUMNS)}")
@@ -251,6 +246,11 @@ def _table(file: PoseFile, number: int) -> Scope | None:
     again = np.zeros(len(rows), bool)
     again[order[1:]] = vertices[order[1:]] == vertices[order[:-1]]
     raise_first(again, rows.fault, lambda row: f"vertex {vertices[row]} again, expected it once")
+    digests = [m[1] for text in file.comments if (m := _TABLE_DIGEST.fullmatch(text.rstrip()))]
+    if digests and digests[-1] != table_digest(source.data.decode(errors="replace")):
+        raise FileFormatError(
+            table, None, f"changed since {file.path} was written, whose ids it explains"
+        )
     return made_scope(
         [f"file {number} robot {name}" for name in names],
         list(names),

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_array
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import validation
 from pcm_jax.graph.validation import ROTATION_TOLERANCE, Fault, argument_fault
 
@@ -149,7 +150,7 @@ def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
     """int64 `[count]`, all different; 0 … count − 1 for None."""
     if ids is None:
         return np.arange(count, dtype=np.int64)
-    values = np.asarray(ids)
+    values = as_array(ids, "ids")
     if values.shape != (count,):
         raise InputError(f"ids: shape {values.shape} given, expected ({count},), one per pose")
     if count and not np.issubdtype(values.dtype, np.integer):
@@ -196,7 +197,8 @@ def as_names(names: Any, count: int) -> np.ndarray:
     """Object array `[count]` of strings; empty ones for None."""
     out = np.full(count, "", dtype=object)
     if names is not None:
-        if len(names) != count:
+        check_class("source", names, "strings", list, tuple, np.ndarray)
+        if as_array(names, "source").shape != (count,):
             raise InputError(f"source: {len(names)} entries given, expected {count}")
         out[:] = list(names)
     return out

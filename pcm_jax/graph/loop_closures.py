@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_array
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import checked, symbols, validation
 from pcm_jax.graph.checked import batch_size
 from pcm_jax.graph.unsaid import ranks
@@ -278,6 +279,9 @@ class LoopClosures:
         Raises:
             InputError: for no parts, or parts of different groups.
         """
+        check_class("parts", parts, "a list of LoopClosures", list, tuple)
+        for number, part in enumerate(parts):
+            check_class(f"parts[{number}]", part, "LoopClosures", LoopClosures)
         groups = {part.group.__name__ for part in parts}
         if len(groups) != 1:
             given = ", ".join(sorted(groups)) or "none"
@@ -314,7 +318,13 @@ def robot_indices(maps: Sequence[PoseGraph], robots: Any, argument: str) -> np.n
     Raises:
         InputError: for a robot that is not there.
     """
-    values = np.asarray(robots)
+    check_class("maps", maps, "PoseGraphs", list, tuple)
+    for number, graph in enumerate(maps):
+        if not hasattr(graph, "num_poses"):
+            check_class(f"maps[{number}]", graph, "a PoseGraph")
+    values = as_array(robots, argument)
+    if values.ndim != 1:
+        raise InputError(f"{argument}: shape {values.shape} given, expected [m]")
     if values.size and values.dtype.kind not in "UO":
         return validation.as_indices(values, len(maps), argument, "robots")
     known = {graph.name: index for index, graph in enumerate(maps)}
@@ -336,7 +346,7 @@ def pose_indices(
     Raises:
         InputError: through `fault`, for an id that is not there.
     """
-    wanted = np.asarray(ids)
+    wanted = as_array(ids, "ids")
     if wanted.shape != robots.shape or (wanted.size and wanted.dtype.kind not in "iu"):
         raise fault(0, f"{wanted.dtype} {wanted.shape} given, expected integers {robots.shape}")
     if wanted.size and wanted.dtype.kind == "u" and wanted.max() > np.iinfo(np.int64).max:

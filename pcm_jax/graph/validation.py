@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pcm_jax.arrays import as_array
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import unsaid
 
@@ -63,7 +64,7 @@ def as_indices(values: Any, count: int | None, argument: str, of: str) -> Int[np
     Raises:
         InputError: for another shape, for values that are not integers, and for one out of range.
     """
-    indices = np.asarray(values)
+    indices = as_array(values, argument)
     if indices.ndim != 1:
         raise InputError(f"{argument}: shape {indices.shape} given, expected [m]")
     if indices.size and not np.issubdtype(indices.dtype, np.integer):

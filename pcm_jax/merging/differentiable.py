@@ -47,8 +47,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import host_device
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_real, host_device
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import SOLVERS, padded_size
 from pcm_jax.merging._alignment import MOST_COMPARED, medoid_costs
@@ -113,6 +113,7 @@ def merge_differentiable(
             priors, which have no derivative here (inside a transformation they are lost before);
             for closures of singular information.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     if solver not in SOLVERS:
         raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
     for own in graph.maps:
@@ -122,6 +123,7 @@ def merge_differentiable(
                 " not take; expected none (PoseGraph.without_priors)"
             )
     count = len(graph.closures)
+    weights = weights if isinstance(weights, jax.Array) else as_real(weights, "weights")
     if jnp.shape(weights) != (count,):
         raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")
     leaves = jax.tree.leaves((graph, weights))

@@ -11,8 +11,9 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.graph.validation import as_indices
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging._strain import strain
 from pcm_jax.merging.groups import closures_within
@@ -170,10 +171,11 @@ class MergeResult:
         Raises:
             InputError: for a robot or a pose that is not there, a pose given twice.
         """
+        check_number("robot", robot, integer=True)
         if not 0 <= robot < len(self.maps):
             raise InputError(f"robot: {robot} given, expected 0 … {len(self.maps) - 1}")
         count = self.maps[robot].num_poses
-        wanted = np.arange(count) if poses is None else np.asarray(poses)
+        wanted = np.arange(count) if poses is None else as_indices(poses, count, "poses", "poses")
         outside = wanted[(wanted < 0) | (wanted >= count)]
         if outside.size:
             raise InputError(f"poses: {outside[0]} given, expected 0 … {count - 1}")

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from pcm_jax import lie
-from pcm_jax.arrays import on_host
+from pcm_jax.arrays import as_array, on_host
 from pcm_jax.consistency import Evidence, chi2_gate
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.mapping.priors import freedom_added
@@ -275,7 +275,7 @@ def _mask(
     count = len(graph.closures)
     if given is None:
         return np.full(count, none)
-    chosen = np.asarray(given)
+    chosen = as_array(given, name)
     if chosen.dtype == bool:
         if chosen.shape != (count,):
             raise InputError(f"{name}: shape {chosen.shape}, expected [{count}], one per closure")
@@ -376,8 +376,7 @@ def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[tuple[Any, ...], 
 
 def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.ndarray:
     """Without the closures of robot pairs that accept fewer than the minimum."""
-    if minimum < 0:
-        raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
+    check_number("minimum_inliers", minimum, least=0)
     kept = accepted.copy()
     for a, b in closures.pairs():
         _, indices = closures.between(a, b)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.integrity import SIGNIFICANCE, judge_by_chance, judge_by_number, judge_team
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
@@ -93,11 +93,18 @@ def select(
     if "weights" in options:
         raise InputError("weights: not an option of select, expected them in the closures' weight")
     check_minimum(minimum_inliers, significance)
-    if on_ambiguous not in ON_AMBIGUOUS:
+    if not isinstance(on_ambiguous, str) or on_ambiguous not in ON_AMBIGUOUS:
         raise InputError(
             f"on_ambiguous: {on_ambiguous!r}, expected one of {', '.join(ON_AMBIGUOUS)}"
         )
     check_graph(graph)
+    check_number("seed", seed, least=0, integer=True)
+    check_number("confidence", confidence)
+    if significance is not None:
+        check_number("significance", significance)
+    for name, given in (("separation", separation), ("time_limit", time_limit)):
+        if given is not None:
+            check_number(name, given, least=0.0)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
     check_weights(method, evidence.graph)
@@ -145,9 +152,9 @@ def check_minimum(minimum: Any, significance: float | None) -> None:
             raise InputError(
                 f"minimum_inliers: {minimum!r}, expected {CHANCE!r} or a number of closures"
             )
-    elif not minimum >= 0:
-        raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
-    elif significance is not None:
+        return
+    check_number("minimum_inliers", minimum, least=0)
+    if significance is not None:
         raise InputError(
             f"significance: {significance} given with minimum_inliers {minimum}, expected"
             f" {CHANCE!r} for that"

@@ -21,7 +21,7 @@ from pcm_jax.consistency import (
 from pcm_jax.consistency.evidence import checked_squared
 from pcm_jax.consistency.mahalanobis import limits_of
 from pcm_jax.consistency.problem import bytes_needed, check_pair
-from pcm_jax.errors import ConvergenceWarning, InputError
+from pcm_jax.errors import ConvergenceWarning, InputError, check_class, check_number
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance, optimize
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
@@ -78,6 +78,7 @@ def weigh(
     Warns:
         ConvergenceWarning: for a map whose optimisation stopped before it converged.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     metric = _checked_metric(metric)
     memory_limit = checked_limit(memory_limit)
     tell, watch = progress or silent, StopWatch()
@@ -121,6 +122,7 @@ def optimized_maps(
 
 def checked_limit(memory_limit: float) -> float:
     """Bytes of at least 0; `InputError` for anything else."""
+    check_number("memory_limit", memory_limit)
     if not memory_limit >= 0:
         raise InputError(f"memory_limit: {memory_limit}, expected bytes, at least 0")
     return memory_limit

@@ -100,6 +100,7 @@ def soft_select(
     """
     for name, given in (("gate", gate), ("temperature", temperature)):
         _check_positive(name, given)
+    squared = squared if isinstance(squared, jax.Array) else as_real(squared, "squared")
     shape = jnp.shape(squared)
     if len(shape) != 2 or shape[0] != shape[1]:
         raise InputError(f"squared: shape {shape}, expected [m, m]")

@@ -25,7 +25,7 @@ from pcm_jax.consistency import (
     squared_own_loops,
     within_problem,
 )
-from pcm_jax.errors import InputError
+from pcm_jax.errors import check_class, check_number
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.selection.choose import Method, check_method, choose
 from pcm_jax.selection.methods import METHODS
@@ -117,9 +117,9 @@ def select_within(
         InputError: for consecutive poses that no edge joins, an unknown method or option, a
             confidence outside (0, 1), a negative minimum.
     """
+    check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     options = _with_time_limit(method, time_limit, options)
-    if minimum_inliers < 0:
-        raise InputError(f"minimum_inliers: {minimum_inliers}, expected at least 0")
+    check_number("minimum_inliers", minimum_inliers, least=0)
     gate = float(chi2_gate(confidence, pose_graph.tangent_dim))
     start = time.perf_counter()
     odometry = np.zeros(pose_graph.num_edges, bool)
@@ -170,6 +170,7 @@ def clean_maps(
     Raises:
         InputError: as `select_within`.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     looped = [each.num_edges >= each.num_poses for each in graph.maps]
     for each, has_loops in zip(graph.maps, looped, strict=True):
         if has_loops:

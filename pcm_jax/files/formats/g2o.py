@@ -14,7 +14,7 @@ import jaxlie
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_choice, check_class
 from pcm_jax.files import coordinates
 from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tagged import read_tagged, tagged_lines
@@ -64,8 +64,9 @@ def write_g2o(
             name that is not printable text, and for "original" where ids do not fit a symbol key
             (0 … 2^56 − 1) or there are more robots than letters (94).
     """
-    if ids not in IDS:
-        raise InputError(f"ids: {ids!r} given, expected one of {IDS}")
+    check_choice("ids", ids, IDS)
+    check_class("path", path, "a path", str, PathLike)
+    check_class("graph", graph, "a MultiRobotGraph or PoseGraph", MultiRobotGraph, PoseGraph)
     if isinstance(graph, PoseGraph):
         graph = MultiRobotGraph((graph,))
     _check_writable(graph)

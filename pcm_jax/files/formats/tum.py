@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax import lie
+from pcm_jax.arrays import as_real
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import coordinates
 from pcm_jax.files.formats._registry import Format, register
@@ -111,7 +112,8 @@ def write_trajectory(path: str | PathLike[str], poses: Any, *, timestamps: Any =
     count = len(parameters)
     if timestamps is None and isinstance(poses, PoseGraph) and poses.stamps is not None:
         timestamps = poses.stamps
-    seconds = np.arange(count, dtype=np.float64) if timestamps is None else np.asarray(timestamps)
+    timestamps = np.arange(count) if timestamps is None else timestamps
+    seconds = as_real(timestamps, "timestamps")
     if seconds.shape != (count,):
         raise InputError(f"timestamps: shape {seconds.shape} given, expected ({count},)")
     rows = np.concatenate([seconds[:, None], coordinates.columns(parameters)], axis=1)
