@@ -104,7 +104,7 @@ def namespace(*values: Any) -> ModuleType:
 
 
 def as_array(values: Any, argument: str) -> np.ndarray:
-    """What NumPy makes of a user's values.
+    """Makes an array of a user's values.
 
     Raises:
         InputError: where it makes nothing of them, as of rows of several lengths.

@@ -76,7 +76,8 @@ def check_number(
         most != math.inf
     )
     bound = f" of {' and '.join(bounds)}" if bounds else ""
-    if not isinstance(value, kind) or isinstance(value, bool) or not least <= value <= most:
+    number: Any = value if isinstance(value, kind) and not isinstance(value, bool) else math.nan
+    if not least <= number <= most:
         shown = value if isinstance(value, numbers.Number) else type(value).__name__
         raise InputError(f"{argument}: {shown} given, expected {what}{bound}")
 

@@ -155,7 +155,9 @@ def _cheap_bound(graph: BitGraph, candidates: int) -> int:
 def _checked_limit(time_limit: float | None) -> float:
     if time_limit is None:
         return np.inf
-    check_number("time_limit", time_limit, least=0.0)
+    check_number("time_limit", time_limit)
+    if time_limit < 0:
+        raise InputError(f"time_limit: {time_limit}, expected seconds, at least 0")
     return float(time_limit)
 
 

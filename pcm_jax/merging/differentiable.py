@@ -38,7 +38,7 @@ import functools
 import itertools
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -123,7 +123,8 @@ def merge_differentiable(
                 " not take; expected none (PoseGraph.without_priors)"
             )
     count = len(graph.closures)
-    weights = weights if isinstance(weights, jax.Array) else as_real(weights, "weights")
+    if not isinstance(weights, jax.Array):
+        weights = cast(Any, as_real(weights, "weights"))
     if jnp.shape(weights) != (count,):
         raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")
     leaves = jax.tree.leaves((graph, weights))

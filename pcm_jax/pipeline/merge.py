@@ -376,7 +376,9 @@ def _placed(graph: MultiRobotGraph, poses: list[Any]) -> tuple[tuple[Any, ...], 
 
 def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.ndarray:
     """Without the closures of robot pairs that accept fewer than the minimum."""
-    check_number("minimum_inliers", minimum, least=0)
+    check_number("minimum_inliers", minimum)
+    if minimum < 0:
+        raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
     kept = accepted.copy()
     for a, b in closures.pairs():
         _, indices = closures.between(a, b)

@@ -104,7 +104,7 @@ def select(
         check_number("significance", significance)
     for name, given in (("separation", separation), ("time_limit", time_limit)):
         if given is not None:
-            check_number(name, given, least=0.0)
+            check_number(name, given)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
     check_weights(method, evidence.graph)
@@ -153,7 +153,9 @@ def check_minimum(minimum: Any, significance: float | None) -> None:
                 f"minimum_inliers: {minimum!r}, expected {CHANCE!r} or a number of closures"
             )
         return
-    check_number("minimum_inliers", minimum, least=0)
+    check_number("minimum_inliers", minimum)
+    if minimum < 0:
+        raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
     if significance is not None:
         raise InputError(
             f"significance: {significance} given with minimum_inliers {minimum}, expected"

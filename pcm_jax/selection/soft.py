@@ -41,7 +41,7 @@ class SoftSelect(torch.autograd.Function):
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -100,7 +100,9 @@ def soft_select(
     """
     for name, given in (("gate", gate), ("temperature", temperature)):
         _check_positive(name, given)
-    squared = squared if isinstance(squared, jax.Array) else as_real(squared, "squared")
+    if not isinstance(squared, jax.Array):
+        as_real(squared, "squared")  # which refuses what is none; the precision stays
+        squared = cast(Any, np.asarray(squared))
     shape = jnp.shape(squared)
     if len(shape) != 2 or shape[0] != shape[1]:
         raise InputError(f"squared: shape {shape}, expected [m, m]")

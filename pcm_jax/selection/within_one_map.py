@@ -119,7 +119,9 @@ def select_within(
     """
     check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     options = _with_time_limit(method, time_limit, options)
-    check_number("minimum_inliers", minimum_inliers, least=0)
+    check_number("minimum_inliers", minimum_inliers)
+    if minimum_inliers < 0:
+        raise InputError(f"minimum_inliers: {minimum_inliers}, expected at least 0")
     gate = float(chi2_gate(confidence, pose_graph.tangent_dim))
     start = time.perf_counter()
     odometry = np.zeros(pose_graph.num_edges, bool)
