@@ -25,7 +25,7 @@ from pcm_jax.consistency import (
     squared_own_loops,
     within_problem,
 )
-from pcm_jax.errors import check_class, check_number
+from pcm_jax.errors import InputError, check_class, check_number
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.selection.choose import Method, check_method, choose
 from pcm_jax.selection.methods import METHODS
