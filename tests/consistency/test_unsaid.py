@@ -17,6 +17,7 @@ from pcm_jax.consistency import joint_consistency, squared_rows
 from pcm_jax.consistency._limit import comparable, gates
 from pcm_jax.consistency.mahalanobis import freedom_of, limits_of
 from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.files.formats.jrl import write_jrl
 from pcm_jax.graph.unsaid import held, noise_of, ranks, told
 
 POSITION, NO_TILT, PLANAR = (0, 1, 2), (0, 1, 2, 5), (0, 1, 5)
@@ -385,3 +386,10 @@ def test_files_with_planar_closures_are_read_and_told(tmp_path):
     path.write_text("\n".join([f"EDGE_SE3:QUAT {key[0][0]} {key[0][1]} {planar}", *text[1:]]))
     with pytest.raises(InputError, match=r"planar.g2o:1: .*rank 3 of 6.*--repair clip"):
         pcm.read_graph(path)
+
+
+def test_what_is_written_says_as_much(tmp_path):
+    _, deep = planar_world(0, closures=3, poses=5)
+    with pytest.raises(InputError, match=r"closures\[0\]: information of rank 3 has no covariance"):
+        write_jrl(tmp_path / "x.jrl", deep)
+    assert not list(tmp_path.iterdir())
