@@ -351,5 +351,11 @@ def _reading(command: argparse.ArgumentParser) -> None:
         "--skip-bad", action="store_true", help="leave out candidates that cannot be read"
     )
     command.add_argument(
+        "--byte-limit",
+        type=int,
+        metavar="BYTES",
+        help="bytes that one file may have after decompression (default: 1 GiB)",
+    )
+    command.add_argument(
         "--ignore-priors", action="store_true", help="leave out poses measured by themselves"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,14 +42,8 @@ def trajectory_file(
     group, count = lie.group_of(poses), len(line)
     if not count:
         raise FileFormatError(path, None, "no poses, expected a trajectory")
+    check_sigmas(path, int(line[0]), reading)
     information = reading.default_information(group)
-    if information is None:
-        raise FileFormatError(
-            path,
-            int(line[0]),
-            "a trajectory says nothing of its steps' uncertainty; give default_sigmas=(metres,"
-            " radians) (--sigmas M RAD)",
-        )
     own = np.arange(count) if ids is None else ids
     order = np.argsort(own, kind="stable")
     poses, own, line = lie.take(poses, order), own[order], line[order]
@@ -62,7 +56,7 @@ def trajectory_file(
         Lines(
             np.stack([own[:-1], own[1:]], axis=1),
             np.asarray(lie.parameters(steps)),
-            np.tile(information, (count - 1, 1, 1)),
+            np.tile(cast(Any, information), (count - 1, 1, 1)),
             line[1:],
         ),
         format=format,
@@ -70,3 +64,14 @@ def trajectory_file(
         stamps=None if stamps is None else (own, stamps[order]),
         how="default sigmas, of each step",
     )
+
+
+def check_sigmas(path: str, line: int, reading: Reading) -> None:
+    """Raises `FileFormatError` without default sigmas, before a long file is taken to numbers."""
+    if reading.default_sigmas is None:
+        raise FileFormatError(
+            path,
+            line,
+            "a trajectory says nothing of its steps' uncertainty; give default_sigmas=(metres,"
+            " radians) (--sigmas M RAD)",
+        )

@@ -27,7 +27,7 @@ from pcm_jax.consistency import (
     chi2_gate,
     odometry_edges,
 )
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity import SIGNIFICANCE, ChanceLevel, Places, Verdict
 from pcm_jax.integrity.within import level_of_measurements, level_of_poses
@@ -54,7 +54,7 @@ def select_within(
     significance: float | None = None,
     separation: float | None = None,
     time_limit: float | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     **options: Any,
 ) -> WithinSelection:
     """Selects the loop closures to believe inside one map.
@@ -86,7 +86,7 @@ def select_within(
             `integrity.places`; by default as there.
         time_limit: seconds for the method, if it has the option: 60 by default, `math.inf` for any
             time. Whether it sufficed is `optimal`.
-        seed: of what chance draws; the same seed gives the same answer.
+        seed: of what chance draws, 0 by default; the same seed gives the same answer.
         **options: the method's own, see `select_from`.
 
     Returns:
@@ -97,8 +97,9 @@ def select_within(
             confidence or significance outside (0, 1), a negative minimum or separation, a scale
             that is not above 0.
     """
+    check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     options = _with_time_limit(method, time_limit, options)
-    check_minimum(minimum_inliers, significance)
+    check_minimum(minimum_inliers, _given(significance=significance, seed=seed))
     _check_numbers(odometry_scale, significance, separation)
     gate = float(chi2_gate(confidence, pose_graph.tangent_dim))
     asked = Asked(gate, method, own_loop, options, separation)
@@ -111,7 +112,7 @@ def select_within(
     chosen = time.perf_counter()
     if minimum_inliers == CHANCE and own_loop:
         level = SIGNIFICANCE if significance is None else significance
-        trial, verdict = _by_chance(trials, found, level, seed)
+        trial, verdict = _by_chance(trials, found, level, seed or 0)
     else:
         minimum = PAIR if isinstance(minimum_inliers, str) else minimum_inliers
         trial, verdict = found[0], _by_number(trials, found[0], minimum)
@@ -161,12 +162,13 @@ def clean_maps(
     Raises:
         InputError: as `select_within`.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     looped = [each.num_edges >= each.num_poses for each in graph.maps]
     for each, has_loops in zip(graph.maps, looped, strict=True):
         if has_loops:
             odometry_edges(each)  # raises for any map before the first one takes its time
     minimum = options.get("minimum_inliers", CHANCE)
-    check_minimum(minimum, significance)
+    check_minimum(minimum, _given(significance=significance))
     _check_numbers(significance=significance)
     if minimum == CHANCE:
         level = SIGNIFICANCE if significance is None else significance
@@ -180,6 +182,10 @@ def clean_maps(
         for each, selection in zip(graph.maps, selections, strict=True)
     )
     return MultiRobotGraph(maps, graph.closures), selections
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _by_chance(
