@@ -56,6 +56,8 @@ def parser() -> argparse.ArgumentParser:
     _demo(commands)
     _merge(commands)
     _inspect(commands)
+    _explain(commands)
+    _calibrate(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
@@ -157,6 +159,11 @@ def _merge(commands: Any) -> None:
         help="before that, drop loop closures inside each robot's own map by PCM, at the same "
         "confidence: those that disagree with its odometry or among themselves",
     )
+    merge.add_argument(
+        "--calibrate",
+        action="store_true",
+        help="say in the report and below the table by which factors the stated information is off",
+    )
     _reading(merge)
     merge.add_argument(
         "--output",
@@ -167,9 +174,13 @@ def _merge(commands: Any) -> None:
     for name, what in (
         ("rejected", "the candidates that were not accepted, as CSV"),
         ("report", "what was accepted, and how well it fits, as JSON"),
+        ("html", "the same as one page to read: maps, closures, why each was accepted or not"),
         ("plot", "a picture of the merged maps"),
     ):
         merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")
+    merge.add_argument(
+        "--json", action="store_true", help="print the report as JSON instead of text"
+    )
     _seed(merge, "of the shuffles that --minimum-inliers chance makes (default: 0)", None)
 
 
@@ -181,6 +192,67 @@ def _inspect(commands: Any) -> None:
     )
     inspect.add_argument("--json", action="store_true", help="print JSON instead of text")
     _reading(inspect)
+
+
+def _explain(commands: Any) -> None:
+    explain = _command(
+        commands,
+        "explain",
+        "Say why a closure was accepted or dropped, from the report of a merge.",
+    )
+    explain.add_argument(
+        "report", type=Path, metavar="REPORT", help="what pcm-jax merge --report wrote"
+    )
+    explain.add_argument(
+        "closure", type=int, metavar="CLOSURE", help="its index in the report, from 0 on"
+    )
+    explain.add_argument("--json", action="store_true", help="print JSON instead of text")
+
+
+def _calibrate(commands: Any) -> None:
+    calibrate = _command(
+        commands,
+        "calibrate",
+        "Say by which factors the stated information of odometry and of closures is off, from "
+        "loops inside the maps and closures between robots that agree.",
+    )
+    _files(calibrate)
+    calibrate.add_argument(
+        "--split", choices=("components",), help="make a robot of each session in a file"
+    )
+    calibrate.add_argument(
+        "--drift",
+        type=_positive,
+        nargs=2,
+        metavar=("PERCENT", "DEG_PER_M"),
+        help="odometry's error after 100 m, in place of the information that files state",
+    )
+    calibrate.add_argument(
+        "--closure-sigmas",
+        type=_positive,
+        nargs=2,
+        metavar=("M", "RAD"),
+        help="standard deviations of closures, in place of the information that files state",
+    )
+    calibrate.add_argument(
+        "--confidence",
+        type=float,
+        metavar="P",
+        default=0.99,
+        help="probability that two right closures pass the gate (default: %(default)s)",
+    )
+    calibrate.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the rescaled graph, as g2o"
+    )
+    calibrate.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="write a picture of residuals against what they should be",
+    )
+    calibrate.add_argument("--json", action="store_true", help="print JSON instead of text")
+    _seed(calibrate, "of simulated errors (default: 0)")
+    _reading(calibrate)
 
 
 def _simulate(commands: Any) -> None:
@@ -224,6 +296,13 @@ def _seconds(text: str) -> float:
     if not seconds > 0.0:
         raise argparse.ArgumentTypeError(f"{text} given, expected seconds above 0")
     return seconds
+
+
+def _positive(text: str) -> float:
+    number = float(text)
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} given, expected a number above 0")
+    return number
 
 
 def _files(command: argparse.ArgumentParser) -> None:

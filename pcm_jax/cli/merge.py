@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import warnings
 from collections.abc import Iterator
@@ -11,19 +12,23 @@ from typing import Any
 from pcm_jax.cli import _outputs as outputs
 from pcm_jax.cli._hints import square_root
 from pcm_jax.cli._progress import Progress
+from pcm_jax.cli._summary import summary
 from pcm_jax.errors import InputError
-from pcm_jax.tables import columns_of_text
 
-NOTHING = "Nothing to merge: no closure between robots is believed; the table says why."
+NEARLY_NONE = 0.1
+"""Share of closures accepted, up to which it is asked what they may have meant."""
 
 
 def run(options: Any) -> None:
-    """Reads, merges, writes what was asked for and prints a summary."""
+    """Reads, merges, writes what was asked for and prints a summary, or the report as JSON."""
     _check_outputs(options)
     with Progress("reading") as progress:
         result, report = _merged(options, progress)
         progress("writing")
         written = list(_written(options, result, report))
+    if options.json:
+        print(outputs.json_text(report), end="")
+        return
     print(summary(report))
     for path in written:
         print(f"wrote {path}")
@@ -31,7 +36,7 @@ def run(options: Any) -> None:
 
 def _check_outputs(options: Any) -> None:
     inputs = [*options.files, *(options.closures or [])]
-    files = [options.rejected, options.report, options.plot]
+    files = [options.rejected, options.report, options.html, options.plot]
     if options.output:
         from pcm_jax.cli._merged_files import check_folder, is_folder
 
@@ -52,8 +57,25 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     seconds = {"read": time.perf_counter() - start}
     result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
     report = {**result.report(), **cleaned, "input": given.as_dict()}
-    report["hints"] = list(_hints(options, given.graph, report, progress))
+    report["calibration"] = _calibration(options, given.graph, result, progress)
+    report["hints"] = [
+        *_mistakes(result, progress),
+        *_hints(options, given.graph, report, progress),
+    ]
     return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
+
+
+def _calibration(
+    options: Any, graph: Any, result: Any, progress: Progress
+) -> dict[str, Any] | None:
+    """The factors on stated information by the closures that were accepted, where asked for."""
+    if not options.calibrate:
+        return None
+    from pcm_jax.pipeline import calibrate
+
+    progress("calibrating")
+    accepted = None if result.selection is not None else result.accepted
+    return calibrate(graph, accepted).as_dict()
 
 
 def _merge(
@@ -105,6 +127,20 @@ def _hints(options: Any, graph: Any, report: dict[str, Any], progress: Progress)
             )
 
 
+def _mistakes(result: Any, progress: Progress) -> Iterator[str]:
+    """The usual mistake that explains why nearly every closure is rejected."""
+    from pcm_jax.integrity import triage
+
+    chosen = result.selection
+    if chosen is None or result.accepted.mean() > NEARLY_NONE:
+        return
+    progress("trying what closures may mean")
+    with contextlib.suppress(InputError):
+        found = triage(chosen.evidence, chosen.gate)
+        if found is not None:
+            yield f"nearly every closure is rejected; {found.sentence}"
+
+
 def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:
     """Chi-squared of a merge of cleaned maps, None where that cannot be done."""
     progress("trying cleaned maps")
@@ -119,9 +155,14 @@ def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
     """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
-    from pcm_jax.selection import clean_maps
+    from pcm_jax.pipeline import clean_maps
 
-    given = {"confidence": options.confidence, "time_limit": options.time_limit}
+    given = {
+        "confidence": options.confidence,
+        "time_limit": options.time_limit,
+        "significance": options.significance,
+        "seed": options.seed,
+    }
     limits = {name: value for name, value in given.items() if value is not None}
     clean, selections = clean_maps(graph, **limits)
     return clean, list(map(_cleaned_row, graph.maps, selections))
@@ -137,6 +178,7 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
         "accepted": closures - len(rejected),
         "optimal": selection is None or selection.optimal,
         "upper_bound": 0 if selection is None else selection.upper_bound,
+        **_judged(selection),
         "rejected": [
             {
                 "a": pose_graph.pose_name(int(pose_graph.tail[edge])),
@@ -145,6 +187,20 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
             }
             for edge in rejected
         ],
+    }
+
+
+def _judged(selection: Any) -> dict[str, Any]:
+    """The fields of a cleaned map's row that say why its closures are believed."""
+    if selection is None:
+        return {"odometry_scale": 1.0, "found": 0, "places": 0, "chance": None, "why": None}
+    verdict = selection.verdict
+    return {
+        "odometry_scale": selection.odometry_scale,
+        "found": verdict.found,
+        "places": verdict.places,
+        "chance": verdict.chance.p_value if verdict.chance else None,
+        "why": verdict.why,
     }
 
 
@@ -161,76 +217,11 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
     if options.report:
         write_text(options.report, outputs.json_text(report))
         yield options.report
+    if options.html:
+        from pcm_jax.report import write_html
+
+        write_html(options.html, result, report)
+        yield options.html
     if options.plot:
         outputs.save_picture(options.plot, result.plot())
         yield options.plot
-
-
-def summary(report: dict[str, Any]) -> str:
-    """A report as the text that `pcm-jax merge` prints."""
-    told = [*report.get("warnings", []), *report.get("hints", [])]
-    fit = "\n".join([*_refined(report.get("refine")), _fit(report["solution"]), *told])
-    parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
-    if report.get("input", {}).get("cuts"):
-        parts.insert(0, "\n".join(report["input"]["cuts"]))
-    if "cleaned" in report:
-        parts.insert(0, _maps(report["cleaned"]))
-    if not any(pair["accepted"] for pair in report["robot_pairs"]):
-        parts.insert(0, NOTHING)
-    return "\n\n".join(parts)
-
-
-def _maps(cleaned: list[dict[str, Any]]) -> str:
-    rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
-    return columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
-
-
-def _robots(report: dict[str, Any]) -> str:
-    group_of = {name: number for number, names in enumerate(report["groups"], 1) for name in names}
-    rows = [
-        [robot["name"], robot["poses"], robot["edges"], group_of[robot["name"]], _pose(anchor)]
-        for robot, anchor in zip(report["robots"], report["anchors"], strict=True)
-    ]
-    return columns_of_text(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
-
-
-def _pose(anchor: dict[str, float] | None) -> str:
-    if anchor is None:
-        return "none: no accepted closure leads to this robot"
-    return "  ".join(f"{name} {value:.4g}" for name, value in anchor.items())
-
-
-def _pairs(pairs: list[dict[str, Any]]) -> str:
-    rows = [
-        [f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p), p["why"] or ""]
-        for p in pairs
-    ]
-    return columns_of_text(["robots", "measured", "accepted", "largest set", "why"], rows)
-
-
-def _optimal(pair: dict[str, Any]) -> str:
-    if pair["optimal"] is None:
-        return "not looked for"
-    most = f"weight {pair['weight_bound']:.6g}" if "weight" in pair else pair["upper_bound"]
-    return "proven" if pair["optimal"] else f"not proven, at most {most}"
-
-
-def _refined(refined: dict[str, Any] | None) -> Iterator[str]:
-    """Lines on what refining changed."""
-    if refined is None:
-        return
-    back, lost = len(refined["recalled"]), len(refined["dropped"])
-    yield f"recalled {back} more that agree with the merged map" + (
-        "" if refined["settled"] else f" (not settled after {refined['rounds']} rounds)"
-    )
-    if lost or refined["loops_dropped"]:
-        loops = len(refined["loops_dropped"])
-        yield f"dropped {lost} closures, and {loops} loops inside the maps, that do not"
-
-
-def _fit(solution: dict[str, Any]) -> str:
-    chi2 = solution["normalized_chi2"]
-    normalized = "no degree of freedom left" if chi2 is None else f"normalised chi2 {chi2:.4g}"
-    end = "converged" if solution["converged"] else "NOT CONVERGED"
-    fit = f"cost {solution['cost']:.6g} ({normalized}), {end} after {solution['iterations']} steps"
-    return fit

@@ -31,7 +31,12 @@ from pcm_jax.consistency.joint import (
     alignment_difference,
     joint_consistency,
 )
-from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops, squared_rows
+from pcm_jax.consistency.mahalanobis import (
+    squared_mahalanobis,
+    squared_on_host,
+    squared_own_loops,
+    squared_rows,
+)
 from pcm_jax.consistency.problem import (
     ConsistencyProblem,
     consistency_problem,
@@ -43,7 +48,15 @@ from pcm_jax.consistency.streaming import (
     stream_consistency_graph,
     stream_from_covariances,
 )
-from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
+from pcm_jax.consistency.within import (
+    OwnLoops,
+    WithinProblem,
+    odometry_edges,
+    own_loops,
+    reordered,
+    with_odometry_errors,
+    within_problem,
+)
 
 __all__ = [
     "AlignmentDifference",
@@ -51,6 +64,7 @@ __all__ = [
     "ConsistentPairs",
     "Evidence",
     "JointConsistency",
+    "OwnLoops",
     "PackedGraph",
     "PairEvidence",
     "WithinProblem",
@@ -61,13 +75,17 @@ __all__ = [
     "joint_consistency",
     "loop_error",
     "odometry_edges",
+    "own_loops",
     "problem_from_covariances",
+    "reordered",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
+    "squared_on_host",
     "squared_own_loops",
     "squared_rows",
     "stream_consistency_graph",
     "stream_from_covariances",
     "to_networkx",
+    "with_odometry_errors",
     "within_problem",
 ]

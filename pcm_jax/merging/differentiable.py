@@ -51,7 +51,7 @@ from pcm_jax.arrays import host_device
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import SOLVERS, padded_size
-from pcm_jax.merging._alignment import MOST_COMPARED, medoid_costs
+from pcm_jax.merging.alignment import MOST_COMPARED, medoid_costs
 
 
 def merge_differentiable(

@@ -1,8 +1,12 @@
 """Hints are followed on the data before they are given, and `inspect` and `merge` give the same."""
 
+import dataclasses
 import json
 
 import pytest
+
+from pcm_jax import MultiRobotGraph, lie, write_g2o
+from pcm_jax.simulation import simulate_city
 
 HINT = "--information sqrt"
 
@@ -60,6 +64,23 @@ def test_a_fit_without_noise_says_nothing(run, tmp_path):
     lines += [f"EDGE_SE2 {a + k} {b + k} 0 1 0 4 0 0 4 0 9" for k in range(3)]
     (tmp_path / "exact.g2o").write_text("\n".join(lines) + "\n")
     assert not both(run, tmp_path / "exact.g2o")
+
+
+def test_inverted_closures_are_told(run, tmp_path):
+    """Every measurement between the robots is the pose of the first seen from the second."""
+    graph = simulate_city(poses=60, inliers=12, aliased_groups=0, random=0).graph
+    closures = graph.closures
+    inverted = dataclasses.replace(closures, measurement=lie.inverse(closures.measurement))
+    write_g2o(tmp_path / "inverted.g2o", MultiRobotGraph(graph.maps, inverted))
+    write_g2o(tmp_path / "right.g2o", graph)
+    report = tmp_path / "report.json"
+    ran = run("merge", tmp_path / "inverted.g2o", "--report", report)
+    assert ran.status == 0
+    (hint,) = json.loads(report.read_text())["hints"]
+    assert hint.startswith("nearly every closure is rejected; inverted: 12 of 12 closures agree if")
+    assert hint in ran.out
+    assert "next: mend the closures as said above, and merge again" in ran.out.splitlines()
+    assert "inverted" not in run("merge", tmp_path / "right.g2o").out.replace("inverted.g2o", "")
 
 
 @pytest.mark.parametrize(
