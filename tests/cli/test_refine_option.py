@@ -49,7 +49,7 @@ def test_what_is_dropped_is_told():
         **{"solution": solution, "refine": {**refined, "settled": False}},
     }
     pair = {"a": "a", "b": "b", "measured": 2, "optimal": True, "why": "", "accepted": 1}
-    pair["upper_bound"] = 1
+    pair |= {"upper_bound": 1, "found": 1}
     text = summary({**report, "robot_pairs": [pair]})
     assert "recalled 0 more that agree with the merged map (not settled after 20 rounds)" in text
     assert "dropped 1 closures, and 1 loops inside the maps, that do not" in text
