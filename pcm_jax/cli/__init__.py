@@ -4,7 +4,10 @@ entry        `main`: runs a command; errors and warnings become lines on standar
 _arguments   the options of all commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
-calibrate, demo, formats, inspect, merge, simulate     one module a command, each with its `run`
+calibrate, demo, explain, formats, inspect, merge, simulate     a module a command, with `run`
+_summary     the text that a merge prints
+_advice      the one thing to do next, where something about a merge is odd
+_reports     reports of merges, read again
 _hints       options that mend a fit that cannot be meant, followed before they are named
 _outputs     where results may be written, checked before anything is computed
 _merged_files     a merge's maps group by group, or robot by robot; rejected closures

@@ -57,6 +57,7 @@ def parser() -> argparse.ArgumentParser:
     _merge(commands)
     _inspect(commands)
     _calibrate(commands)
+    _explain(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
@@ -166,9 +167,13 @@ def _merge(commands: Any) -> None:
     for name, what in (
         ("rejected", "the candidates that were not accepted, as CSV"),
         ("report", "what was accepted, and how well it fits, as JSON"),
+        ("html", "the same as one page to read: maps, closures, why each was accepted or not"),
         ("plot", "a picture of the merged maps"),
     ):
         merge.add_argument(f"--{name}", type=Path, metavar="FILE", help=f"write {what}")
+    merge.add_argument(
+        "--json", action="store_true", help="print the report as JSON instead of text"
+    )
     _seed(merge, "of the shuffles that --minimum-inliers chance makes (default: 0)", None)
 
 
@@ -226,6 +231,21 @@ def _calibrate(commands: Any) -> None:
     calibrate.add_argument("--json", action="store_true", help="print JSON instead of text")
     _seed(calibrate, "of simulated errors (default: 0)")
     _reading(calibrate)
+
+
+def _explain(commands: Any) -> None:
+    explain = _command(
+        commands,
+        "explain",
+        "Say why a closure was accepted or dropped, from the report of a merge.",
+    )
+    explain.add_argument(
+        "report", type=Path, metavar="REPORT", help="what pcm-jax merge --report wrote"
+    )
+    explain.add_argument(
+        "closure", type=int, metavar="CLOSURE", help="its index in the report, from 0 on"
+    )
+    explain.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
 def _simulate(commands: Any) -> None:

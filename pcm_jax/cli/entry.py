@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from pcm_jax.cli._arguments import parser
+from pcm_jax.cli._cache import keep_compiled
 from pcm_jax.errors import InputError, InputWarning
 
 BAD_INPUT = 2
@@ -26,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0; 2 for bad input, with one line on standard error; 130 if interrupted.
     """
     options = parser().parse_args(arguments)
+    keep_compiled()
     command = importlib.import_module(f"pcm_jax.cli.{options.command}")
     try:
         with _warnings_as_lines():

@@ -11,19 +11,20 @@ from typing import Any
 from pcm_jax.cli import _outputs as outputs
 from pcm_jax.cli._hints import square_root
 from pcm_jax.cli._progress import Progress
+from pcm_jax.cli._summary import summary
 from pcm_jax.errors import InputError
-from pcm_jax.tables import columns_of_text
-
-NOTHING = "Nothing to merge: no closure between robots is believed; the table says why."
 
 
 def run(options: Any) -> None:
-    """Reads, merges, writes what was asked for and prints a summary."""
+    """Reads, merges, writes what was asked for and prints a summary, or the report as JSON."""
     _check_outputs(options)
     with Progress("reading") as progress:
         result, report = _merged(options, progress)
         progress("writing")
         written = list(_written(options, result, report))
+    if options.json:
+        print(outputs.json_text(report), end="")
+        return
     print(summary(report))
     for path in written:
         print(f"wrote {path}")
@@ -31,7 +32,7 @@ def run(options: Any) -> None:
 
 def _check_outputs(options: Any) -> None:
     inputs = [*options.files, *(options.closures or [])]
-    files = [options.rejected, options.report, options.plot]
+    files = [options.rejected, options.report, options.html, options.plot]
     if options.output:
         from pcm_jax.cli._merged_files import check_folder, is_folder
 
@@ -194,71 +195,11 @@ def _written(options: Any, result: Any, report: dict[str, Any]) -> Any:
     if options.report:
         write_text(options.report, outputs.json_text(report))
         yield options.report
+    if options.html:
+        from pcm_jax.report import write_html
+
+        write_html(options.html, result, report)
+        yield options.html
     if options.plot:
         outputs.save_picture(options.plot, result.plot())
         yield options.plot
-
-
-def summary(report: dict[str, Any]) -> str:
-    """A report as the text that `pcm-jax merge` prints."""
-    told = [*report.get("warnings", []), *report.get("hints", [])]
-    fit = "\n".join([_fit(report["solution"]), *told])
-    parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
-    if report.get("input", {}).get("cuts"):
-        parts.insert(0, "\n".join(report["input"]["cuts"]))
-    if report.get("calibration"):
-        parts.append("\n".join(report["calibration"]["advice"]))
-    if "cleaned" in report:
-        parts.insert(0, _maps(report["cleaned"]))
-    if not any(pair["accepted"] for pair in report["robot_pairs"]):
-        parts.insert(0, NOTHING)
-    return "\n\n".join(parts)
-
-
-def _maps(cleaned: list[dict[str, Any]]) -> str:
-    rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
-    table = columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
-    return "\n".join([table, *(f"{row['robot']}: {row['why']}" for row in cleaned if _odd(row))])
-
-
-def _odd(row: dict[str, Any]) -> bool:
-    """True for a map that was not judged as its file says, or accepts nothing of what it has."""
-    return row["odometry_scale"] != 1.0 or (row["measured"] > 0 and row["accepted"] == 0)
-
-
-def _robots(report: dict[str, Any]) -> str:
-    group_of = {name: number for number, names in enumerate(report["groups"], 1) for name in names}
-    rows = [
-        [robot["name"], robot["poses"], robot["edges"], group_of[robot["name"]], _pose(anchor)]
-        for robot, anchor in zip(report["robots"], report["anchors"], strict=True)
-    ]
-    return columns_of_text(["robot", "poses", "edges", "group", "anchor (m, rad)"], rows)
-
-
-def _pose(anchor: dict[str, float] | None) -> str:
-    if anchor is None:
-        return "none: no accepted closure leads to this robot"
-    return "  ".join(f"{name} {value:.4g}" for name, value in anchor.items())
-
-
-def _pairs(pairs: list[dict[str, Any]]) -> str:
-    rows = [
-        [f"{p['a']} - {p['b']}", p["measured"], p["accepted"], _optimal(p), p["why"] or ""]
-        for p in pairs
-    ]
-    return columns_of_text(["robots", "measured", "accepted", "largest set", "why"], rows)
-
-
-def _optimal(pair: dict[str, Any]) -> str:
-    if pair["optimal"] is None:
-        return "not looked for"
-    most = f"weight {pair['weight_bound']:.6g}" if "weight" in pair else pair["upper_bound"]
-    return "proven" if pair["optimal"] else f"not proven, at most {most}"
-
-
-def _fit(solution: dict[str, Any]) -> str:
-    chi2 = solution["normalized_chi2"]
-    normalized = "no degree of freedom left" if chi2 is None else f"normalised chi2 {chi2:.4g}"
-    end = "converged" if solution["converged"] else "NOT CONVERGED"
-    fit = f"cost {solution['cost']:.6g} ({normalized}), {end} after {solution['iterations']} steps"
-    return fit

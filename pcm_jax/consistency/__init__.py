@@ -31,7 +31,12 @@ from pcm_jax.consistency.joint import (
     alignment_difference,
     joint_consistency,
 )
-from pcm_jax.consistency.mahalanobis import squared_mahalanobis, squared_own_loops, squared_rows
+from pcm_jax.consistency.mahalanobis import (
+    squared_mahalanobis,
+    squared_on_host,
+    squared_own_loops,
+    squared_rows,
+)
 from pcm_jax.consistency.problem import (
     ConsistencyProblem,
     consistency_problem,
@@ -75,6 +80,7 @@ __all__ = [
     "reordered",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
+    "squared_on_host",
     "squared_own_loops",
     "squared_rows",
     "stream_consistency_graph",

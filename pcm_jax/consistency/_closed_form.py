@@ -33,7 +33,7 @@ odometry alone, ε = Log(z_u⁻¹ x_ik), has by the same derivation
 from __future__ import annotations
 
 import functools
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import jax
@@ -42,12 +42,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import namespace
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.lie import unrolled
 
 # Rows and columns of a tile of pairs: what a tile reads (two maps' G) then stays in a core's cache.
 TILE = 64
+CHUNK = 4096  # pairs that NumPy weighs together, for the same reason
 
 
 def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Array, "m m"]:
@@ -128,7 +130,8 @@ def per_closure(closures: Any) -> tuple[Any, Any]:
     placed = module.compose(reached, module.inverse(pose_b))
     covariance = unrolled.from_array(closures.measurement_covariance)
     noise = unrolled.pack(module.adjoint_sandwich(reached, covariance))
-    return jnp.stack(placed), jnp.stack(noise)
+    xp = namespace(*placed)
+    return xp.stack(placed), xp.stack(noise)
 
 
 def _tile(
@@ -179,6 +182,31 @@ def squared_one_way(
     """
     error = module.log(module.compose(t_v, module.inverse(t_u)))
     return unrolled.inverse_quadratic_form(_total(module, at, fixed, side_b, None), error)
+
+
+def squared_in_numpy(problem: ConsistencyProblem) -> Float[np.ndarray, "k k"]:
+    """q² of all ordered pairs of the k valid closures, on NumPy arrays; compiles nothing."""
+    count = int(np.count_nonzero(np.asarray(problem.valid)))
+    module = lie.module_of(lie.group_of(problem.measurement))
+    own = {
+        name: jax.tree.map(lambda x: np.asarray(x)[:count], getattr(problem, name))
+        for name in ("measurement", "measurement_covariance", "pose_a", "pose_b")
+    }
+    placed, noise = per_closure(SimpleNamespace(**own))
+    squared = np.zeros((count, count))
+    rows = np.asarray(problem.row_a), np.asarray(problem.row_b)
+    covariances = problem.relative_covariance_a, problem.relative_covariance_b
+    sides = [(np.asarray(each), row) for each, row in zip(covariances, rows, strict=True)]
+    first, second = np.triu_indices(count, 1)
+    for start in range(0, len(first), CHUNK):
+        u, v = first[start : start + CHUNK], second[start : start + CHUNK]
+        side_a, side_b = (each[:, row[u], row[v]] for each, row in sides)
+        fixed = tuple(side_a + noise[:, u] + noise[:, v])
+        t_u, t_v = tuple(placed[:, u]), tuple(placed[:, v])
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            squared[u, v] = squared_one_way(module, t_u, t_v, t_v, fixed, side_b)
+            squared[v, u] = squared_one_way(module, t_u, t_v, t_u, fixed, side_b)
+    return squared
 
 
 def _two_maps(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:

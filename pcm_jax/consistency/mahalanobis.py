@@ -15,12 +15,14 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import bucket, device_array
+from pcm_jax.arrays import bucket, device_array, on_host
+from pcm_jax.compiling import Thrift
 from pcm_jax.consistency._closed_form import (
     closed_form_kernel,
     closed_form_new,
     closed_form_rows,
     own_loop_kernel,
+    squared_in_numpy,
 )
 from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
@@ -28,6 +30,10 @@ from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError
 
 Problem = ConsistencyProblem | WithinProblem
+SECONDS_A_PAIR = {3: 1e-6, 6: 4e-6}
+"""About what an ordered pair takes in NumPy, by tangent dimensions."""
+SECONDS_TO_COMPILE = 3.0
+_thrift = Thrift(SECONDS_TO_COMPILE)
 
 
 def _masked(kernel: Callable[[Any], Any]) -> Callable[[Problem], Any]:
@@ -164,6 +170,24 @@ def squared_mahalanobis(
             return squared[valid[:, None], valid]
         # Cut by NumPy: an eager JAX gather would be compiled for every number of closures.
         return device_array(np.asarray(squared)[np.ix_(valid, valid)], squared.dtype)
+
+
+@on_host
+def squared_on_host(problem: ConsistencyProblem) -> Float[np.ndarray, "k k"]:
+    """Computes the same for the host: in NumPy while that is cheaper than to compile.
+
+    Args:
+        problem: of closures between two robots, float64, not traced.
+
+    Returns:
+        As `squared_mahalanobis`; NumPy.
+    """
+    d = problem.measurement_covariance.shape[-1]
+    padded = problem.valid.shape[0]
+    shapes = (problem.relative_covariance_a.shape, problem.relative_covariance_b.shape)
+    if _thrift.compiles((d, padded, shapes), padded**2 * SECONDS_A_PAIR[d]):
+        return np.asarray(squared_mahalanobis(problem))
+    return squared_in_numpy(problem)
 
 
 def squared_rows(

@@ -218,7 +218,7 @@ class ShuffledByMetric:
 
 
 def _entries(transforms: Any, count: int) -> tuple[np.ndarray, ...]:
-    return tuple(np.asarray(entry)[:count] for entry in lie.components(transforms))
+    return tuple(np.asarray(entry)[:count] for entry in lie.components(lie.as_numpy(transforms)))
 
 
 def _full(order: np.ndarray, entries: Any) -> tuple[np.ndarray, ...]:

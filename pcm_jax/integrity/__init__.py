@@ -1,41 +1,56 @@
 """Doubts: what chance does, what else explains the closures, and so what is believed.
 
-places   closures beside each other along both ways are one witness
-chance   how often closures of which none is right agree as well
-rivals   the best set that implies another alignment
-odometry  the scale of odometry's errors, as the closures inside one map tell it
-within   how often closures of which none is right agree with odometry inside one map
-verdict  what is believed, all pairs of robots together, and why
+places       closures beside each other along both ways are one witness
+chance       how often closures of which none is right agree as well
+rivals       the best set that implies another alignment
+odometry     the scale of odometry's errors, as the closures inside one map tell it
+within       how often closures of which none is right agree with odometry inside one map
+verdict      what is believed, all pairs of robots together, and why
+team         cycles of robots: whether the alignments of a team's pairs fit together
 variance_components  the factors on stated variances, by restricted likelihood
 calibration  `Calibration`: these factors, in numbers and in words
-team     cycles of robots: whether the alignments of a team's pairs fit together
+residuals    what is left of closures in the merged maps; the edges strained most
+_loops       by how much the loops of chosen pairs of closures miss, and through whose errors
+_standing    the standing of a closure among the others: agreements, the worst conflict
+_sentences   explanations in words
+explanation  why each closure was accepted or dropped
 """
 
+from pcm_jax.integrity._standing import STANDINGS, Conflict
 from pcm_jax.integrity.calibration import Calibration, Factor, Factors
 from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
+from pcm_jax.integrity.explanation import Explanation, explain
 from pcm_jax.integrity.places import Places, places_of, way_of
+from pcm_jax.integrity.residuals import Fit, StrainedEdge, strained_edges
 from pcm_jax.integrity.rivals import Rival, strongest_rival
 from pcm_jax.integrity.team import Cycle, cycles_of, judge_team, minority
 from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_number
 
 __all__ = [
     "SIGNIFICANCE",
+    "STANDINGS",
     "Calibration",
     "ChanceLevel",
+    "Conflict",
     "Cycle",
+    "Explanation",
     "Factor",
     "Factors",
+    "Fit",
     "Places",
     "Rival",
+    "StrainedEdge",
     "Verdict",
     "chance_level",
     "cycles_of",
+    "explain",
     "holm",
     "judge_by_chance",
     "judge_by_number",
     "judge_team",
     "minority",
     "places_of",
+    "strained_edges",
     "strongest_rival",
     "way_of",
 ]

@@ -9,18 +9,22 @@ contradict some members and agree with many others.) The answer is ambiguous if
     R has nearly as many closures:     4 |R| > 3 |C|; or
     R rests on about as many places,   2 places(R) > places(C),   and is beyond chance among the
     closures that are not in C; or
-    C lies at one place beside R:      R reaches more than twice as far along the ways, with at
-    least three closures and a third of C's.
+    C lies in one stretch,             shorter than a tenth of the longer way and with at most two
+    places if places are as long as R's reach; and R has at least three closures and a third of C's,
+    and is beyond chance among the others, counted by closures.
 
 The last is for a corridor taken for another: any number of closures in one short stretch repeat one
-mistake, while right ones are found wherever the robots meet. It is no proof. On Bicocca 25b, cut
-before pose 6268, 19 false closures within 17 m outvote 8 right ones: in maps of odometry the set is
-refused (p = 0.04), in cleaned maps it passes by a hair (p = 0.0099), and the 8 are no rival by
-these rules; `separation=20` refuses it.
+mistake. Of two sets that exclude each other one is such a mistake, and if it is R, then mistakes
+here reach as far as R does: what C says beyond two stretches of that length is evidence, the number
+of its frames is not. On Bicocca 25b, cut before pose 6268, 19 false closures within 17 m outvote 8
+right ones within 10 m: ambiguous. Rivals of right sets, there and elsewhere, are either as small as
+chance makes them or near misses.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,14 +36,16 @@ from pcm_jax.clique import maximum_clique
 from pcm_jax.consistency import JointConsistency, PairEvidence, joint_consistency
 from pcm_jax.consistency.joint import thinned
 from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
-from pcm_jax.integrity.places import Places
+from pcm_jax.integrity.places import Places, way_of
 
 AGREEING = 0.25
 """Share of pairs across two sets: with fewer that are consistent, they imply two alignments."""
 TRIES = 8
 """Largest sets that are looked at before it is said that there is no rival."""
-FEWEST, FEWEST_FAR = 2, 3
-"""Closures of a rival, and of one that makes an answer ambiguous by its reach."""
+FEWEST, FEWEST_OF_ONE = 2, 3
+"""Closures of a rival, and of one beside which a set may be one mistake."""
+STRETCH = 0.1
+"""Of the longer way: closures that reach less far may be one mistake."""
 JOINT = 60
 """Closures of a rival that its alignment is found from, evenly spaced."""
 SEARCH = 5.0
@@ -112,6 +118,7 @@ def strongest_rival(
     """
     graph = evidence.consistent(gate)
     left, largest = ~members, None
+    longer_way = max((float(way_of(one)[-1]) for one in evidence.maps or ()), default=0.0)
     for _ in range(TRIES):
         found = _largest_among(graph, left)
         if np.count_nonzero(found) < FEWEST:
@@ -121,12 +128,14 @@ def strongest_rival(
         if agreeing > AGREEING:
             continue  # near misses
         chance = None
-        ambiguous = _nearly_as_large(members, found) or _reaches_further(places, members, found)
-        if not ambiguous and 2 * places.count(found) > places.count(members):
+        ambiguous = _nearly_as_large(members, found)
+        for counted in () if ambiguous else _countings(places, members, found, longer_way):
             # Shuffled among the others: members repeat each other, shuffled or not.
             asked: dict[str, Any] = {"among": ~members, "significance": significance, "seed": seed}
-            chance = chance_level(evidence, gate, places, found, **asked)
+            chance = chance_level(evidence, gate, counted, found, **asked)
             ambiguous = chance.p_value <= significance
+            if ambiguous:
+                break
         if ambiguous or largest is None:
             largest = found, agreeing, chance, ambiguous
         if ambiguous:
@@ -160,7 +169,14 @@ def _nearly_as_large(members: np.ndarray, rival: np.ndarray) -> bool:
     return bool(4 * np.count_nonzero(rival) > 3 * np.count_nonzero(members))
 
 
-def _reaches_further(places: Places, members: np.ndarray, rival: np.ndarray) -> bool:
-    """True if the set in question lies at one place beside a rival that is not too small."""
-    enough = np.count_nonzero(rival) >= max(FEWEST_FAR, np.count_nonzero(members) / 3)
-    return bool(enough and places.reach(rival) > 2.0 * places.reach(members))
+def _countings(
+    places: Places, members: np.ndarray, rival: np.ndarray, longer_way: float
+) -> Iterator[Places]:
+    """Ways to count a rival's witnesses by which it is as good as the members, if beyond chance."""
+    if 2 * places.count(rival) > places.count(members):
+        yield places
+    enough = np.count_nonzero(rival) >= max(FEWEST_OF_ONE, np.count_nonzero(members) / 3)
+    if enough and places.reach(members) < STRETCH * longer_way:
+        one_mistake = max(places.separation, places.reach(rival))
+        if dataclasses.replace(places, separation=one_mistake).count(members) <= 2:
+            yield dataclasses.replace(places, separation=0.0)

@@ -21,7 +21,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import networkx as nx
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -76,6 +75,8 @@ def cycles_of(alignments: Mapping[Pair, JointConsistency]) -> list[Cycle]:
     Returns:
         Each cycle once, from its smallest robot on.
     """
+    import networkx as nx
+
     graph: nx.Graph[int] = nx.Graph(list(alignments))
     found = [
         (a, b, c)
@@ -134,6 +135,8 @@ def judge_team(
     Returns:
         The verdicts, in which pairs that the others outvote are refused, and the team's cycles.
     """
+    import networkx as nx
+
     believed: nx.Graph[int] = nx.Graph(
         (pair.robot_a, pair.robot_b)
         for (pair, _), verdict in zip(pairs, verdicts, strict=True)
@@ -164,6 +167,8 @@ def judge_team(
 
 def _hangs_together(cycles: Sequence[Cycle], without: Pair) -> bool:
     """True if other cycles, or the rest of its own, still join the two robots."""
+    import networkx as nx
+
     graph: nx.Graph[int] = nx.Graph([pair for cycle in cycles for pair in cycle.pairs])
     graph.remove_edge(*without)
     return nx.has_path(graph, *without)

@@ -23,7 +23,6 @@ import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
-from pcm_jax import lie
 from pcm_jax.mapping._linearization import Edges, linearize, retract, whitened_residual
 from pcm_jax.mapping._normal_equations import (
     BlockCholesky,
@@ -31,9 +30,7 @@ from pcm_jax.mapping._normal_equations import (
     Cholmod,
     DampedJacobian,
 )
-
-ROUNDING = 16
-"""Units in the last place of the farthest coordinate: a step's product of several roundings."""
+from pcm_jax.mapping._stepwise import at_rest
 
 
 class Problem(eqx.Module):
@@ -175,7 +172,7 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
         )
         before, cost = state.f_info.as_min(), f_eval.as_min()
         unchanged = accept & (jnp.abs(before - cost) <= self.rtol * before)
-        settled = unchanged | self._at_rest(state.delta, y)
+        settled = unchanged | at_rest(state.delta, y, self.atol)
         terminate = settled & ~state.first_step
         y, f_info = _choose(accept, (state.candidate, f_eval), (y, state.f_info))
         out_of_steps = ~terminate & (state.steps + 1 >= args.max_steps)
@@ -205,13 +202,6 @@ class ManifoldGaussNewton(optx.AbstractLeastSquaresSolver):
             ),
             None,
         )
-
-    def _at_rest(self, delta: Float[Array, "n d"], y: Any) -> Bool[Array, ""]:
-        positions = lie.translation(y)
-        space = positions.shape[-1]
-        rounding = ROUNDING * jnp.finfo(delta.dtype).eps * jnp.max(jnp.abs(positions))
-        moved, turned = delta[:, :space], delta[:, space:]
-        return (self.norm(moved) <= self.atol + rounding) & (self.norm(turned) <= self.atol)
 
     def _descend(
         self, accept: Array, f_info: Any, step_size: Array, descent_state: Any

@@ -13,12 +13,12 @@ arrays in NumPy are linearised in NumPy, by the same formulas.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +30,9 @@ from pcm_jax.arrays import namespace
 T = TypeVar("T")
 
 
-class Edges(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Edges:
     """The edges of a least-squares problem, padded; padded edges have zero `whitening`.
 
     Attributes:
@@ -43,6 +45,11 @@ class Edges(eqx.Module):
     head: Int[Array, " e"]
     measurement: lie.Transform  # type: ignore[valid-type]
     whitening: Float[Array, "d d e"]
+
+    def cut(self, count: int) -> Edges:
+        """The first edges, without padding."""
+        measurement = lie.take(self.measurement, slice(0, count))
+        return Edges(self.tail[:count], self.head[:count], measurement, self.whitening[..., :count])
 
 
 class EdgeJacobians(NamedTuple):
@@ -178,7 +185,8 @@ def retract(poses: Any, step: Float[Array, "n d"]) -> Any:
     """X exp(δ), scaled back to the group so that rounding does not add up."""
     kind = lie.group_of(poses)
     group = lie.module_of(kind)
-    moved = group.compose(lie.components(poses), group.exp(tuple(jnp.moveaxis(step, -1, 0))))
+    xp = namespace(step)
+    moved = group.compose(lie.components(poses), group.exp(tuple(xp.moveaxis(step, -1, 0))))
     return lie.from_components(kind, group.normalize(moved))
 
 

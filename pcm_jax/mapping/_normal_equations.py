@@ -10,7 +10,6 @@ compilation; the host finds what follows from it by content (`sparse.system`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -21,10 +20,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax.mapping._callbacks import call_host
+from pcm_jax.mapping._host_step import solve_on_host
 from pcm_jax.mapping._linearization import EdgeProducts, apart, edge_products
-from pcm_jax.sparse import registry
-from pcm_jax.sparse.cholesky import NotPositiveDefiniteError
-from pcm_jax.sparse.system import System, system_for
 
 
 class BlockJacobian(lx.AbstractLinearOperator):
@@ -164,32 +161,6 @@ def _equations(state: BlockJacobian | DampedJacobian, vector: Any) -> _Damped:
     return _Damped(state, apart(jacobian.tail[0] >= 0, edge_products, *parts), below)
 
 
-def system_of(pattern: Sequence[np.ndarray], block_dim: int) -> System:
-    """The system of a padded pattern: tail, head, free and counts, as a callback is given them."""
-    tail, head, free, counts = pattern
-    poses, edges = counts.tolist()
-    return system_for(poses, tail[:edges], head[:edges], ~free[:poses], block_dim)
-
-
-def _solve_on_host(out: np.ndarray, *arguments: np.ndarray) -> None:
-    """Body of the callback: δ into `out`, NaN if there is no factor."""
-    *pattern, damping, products, gradients, below = arguments
-    system = system_of(pattern, products.shape[-1])
-    gradient = system.gradient(gradients.astype(np.float64, copy=False))
-    if below.any():
-        diagonal = system.gradient(np.diagonal(products[:2], axis1=2, axis2=3))
-        gradient += np.sqrt(damping * diagonal) * below[: system.size]
-    out[...] = 0.0
-    with registry.spare.borrow(system.plan.scalars) as memory:
-        try:
-            numbers = products.astype(np.float64, copy=False), float(damping)
-            factor = system.factorize(*numbers, memory)
-        except NotPositiveDefiniteError:
-            out[...] = np.nan
-        else:
-            out[: system.size] = factor.solve(gradient.ravel()).reshape(gradient.shape)
-
-
 class _NormalEquationsSolver(lx.AbstractLinearSolver):
     """The protocol of lineax that both engines share, around `(JᵀJ + λ diag) δ = Jᵀ r`."""
 
@@ -230,7 +201,7 @@ class BlockCholesky(_NormalEquationsSolver):
         jacobian = equations.damped.jacobian
         pattern = jacobian.tail, jacobian.head, jacobian.free, jacobian.counts
         numbers = equations.damped.damping, *equations.products, equations.below
-        step = call_host(_solve_on_host, state.in_structure(), *pattern, *numbers)
+        step = call_host(solve_on_host, state.in_structure(), *pattern, *numbers)
         return self._status(step)
 
 

@@ -16,11 +16,11 @@ solve.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from types import ModuleType
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +29,7 @@ from jaxtyping import Array, Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.lie import unrolled
 from pcm_jax.mapping._callbacks import call_host
+from pcm_jax.mapping._host_step import system_of
 from pcm_jax.mapping._linearization import (
     Edges,
     apart,
@@ -36,7 +37,6 @@ from pcm_jax.mapping._linearization import (
     retract,
     slopes,
 )
-from pcm_jax.mapping._normal_equations import system_of
 from pcm_jax.mapping.least_squares import ATOL, MAX_STEPS, RTOL
 from pcm_jax.sparse import registry
 from pcm_jax.sparse.cholesky import NotPositiveDefiniteError
@@ -57,7 +57,9 @@ class Pattern(NamedTuple):
     counts: Int[Array, "2"]
 
 
-class Data(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Data:
     """The data that the optimum depends on, padded; padded edges have weight zero.
 
     Attributes:

@@ -16,9 +16,11 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, on_host
+from pcm_jax.compiling import Thrift
 from pcm_jax.errors import InputError
 from pcm_jax.graph.priors import Priors
 from pcm_jax.mapping._linearization import Edges, whitening_of
+from pcm_jax.mapping._stepwise import gauss_newton
 from pcm_jax.sparse import registry
 
 SOLVERS = ("gauss-newton", "levenberg-marquardt")
@@ -26,6 +28,11 @@ ENGINES = ("blocks", "cholmod")
 RTOL = 1e-9
 ATOL = 1e-9
 MAX_STEPS = 100
+
+SECONDS_AN_EDGE = {3: 3e-5, 6: 6e-5}
+"""About what a solve takes in NumPy, by tangent dimensions."""
+SECONDS_TO_COMPILE = 3.0
+_thrift = Thrift(SECONDS_TO_COMPILE)
 
 SMALLEST_PADDED = 256
 FINE_ABOVE = 4096
@@ -172,9 +179,19 @@ class PoseProblem:
         Raises:
             InputError: an unknown name, or an engine that is not installed.
         """
+        check_names(solver, engine)
+        if (solver, engine) == (SOLVERS[0], ENGINES[0]) and not self._compiles(rtol, atol):
+            limits = {"rtol": rtol, "atol": atol, "max_steps": max_steps}
+            found = gauss_newton(
+                with_frame(poses, self._poses),
+                self._scaled(scale).cut(self._edges),
+                self._free[: self._poses],
+                **limits,
+            )
+            registry.spare.free()
+            return Solved(lie.take(found.poses, slice(0, self._given[1])), *found[1:])
         from pcm_jax.mapping._gauss_newton import Problem
 
-        check_names(solver, engine)
         arrays: Any = (
             self._free,
             np.array([self._poses, self._edges], np.int32),
@@ -192,6 +209,12 @@ class PoseProblem:
             int(steps),
             bool(converged),
         )
+
+    def _compiles(self, rtol: float, atol: float) -> bool:
+        """True where a compiled program is worth its compilation."""
+        dim = len(self._padded.whitening)
+        key = dim, len(self._padded.tail), self._size, rtol, atol
+        return _thrift.compiles(key, self._edges * SECONDS_AN_EDGE[dim])
 
     def _scaled(self, scale: np.ndarray | None) -> Edges:
         if scale is None:

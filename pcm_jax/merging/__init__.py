@@ -6,6 +6,8 @@ frames           whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
 _strain          which part of a merge does not fit
+_one_more_or_less     how far the anchors would move if a closure were decided the other way
+_report          the rows of its report
 result           `MergeResult`: maps, anchors, groups; its report
 differentiable   `merge_differentiable`: the same solve as one traced function, with derivatives
 compile_time     how long JAX compiled meanwhile

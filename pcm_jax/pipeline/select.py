@@ -10,7 +10,7 @@ from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.integrity import SIGNIFICANCE, judge_by_chance, judge_by_number, judge_team
+from pcm_jax.integrity import judge_by_chance, judge_by_number, judge_team
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
 from pcm_jax.selection import PairSelection, Selection, choose
@@ -32,8 +32,8 @@ def select(
     minimum_inliers: int | str = CHANCE,
     significance: float | None = None,
     separation: float | None = None,
-    on_ambiguous: str = "split",
-    seed: int = 0,
+    on_ambiguous: str | None = None,
+    seed: int | None = None,
     time_limit: float | None = None,
     progress: Progress | None = None,
     **options: Any,
@@ -64,10 +64,11 @@ def select(
             whose closures is right; 0.01 by default.
         separation: metres along the way of either robot between closures that are two witnesses,
             see `integrity.places`; by default as there.
-        on_ambiguous: with "chance": "split": a pair of robots accepts nothing where another
-            alignment is supported about as well, see `integrity.rivals`; "largest": it accepts the
-            larger set, whose verdict says so.
-        seed: of the shuffles that "chance" makes; the same seed gives the same answer.
+        on_ambiguous: with "chance": "split", the default: a pair of robots accepts nothing where
+            another alignment is supported about as well, see `integrity.rivals`; "largest": it
+            accepts the larger set, whose verdict says so.
+        seed: of the shuffles that "chance" makes, 0 by default; the same seed gives the same
+            answer.
         time_limit: seconds for each pair's clique; needs a method that has the option.
         progress: called with a stage, how many of its parts are done, and how many there are.
         **options: the method's own, see `select_from`; of a graph also `metric`, `optimized` and
@@ -92,11 +93,9 @@ def select(
     check_method(method, options)
     if "weights" in options:
         raise InputError("weights: not an option of select, expected them in the closures' weight")
-    check_minimum(minimum_inliers, significance)
-    if on_ambiguous not in ON_AMBIGUOUS:
-        raise InputError(
-            f"on_ambiguous: {on_ambiguous!r}, expected one of {', '.join(ON_AMBIGUOUS)}"
-        )
+    of_chance = {"significance": significance, "on_ambiguous": on_ambiguous, "seed": seed}
+    asked = {name: value for name, value in of_chance.items() if value is not None}
+    check_minimum(minimum_inliers, asked)
     check_graph(graph)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
@@ -116,14 +115,7 @@ def select(
     tell("chance", 0, 1)
     with watch("chance"):
         if minimum_inliers == CHANCE:
-            verdicts = judge_by_chance(
-                found,
-                gate,
-                significance=SIGNIFICANCE if significance is None else significance,
-                separation=separation,
-                on_ambiguous=on_ambiguous,
-                seed=seed,
-            )
+            verdicts = judge_by_chance(found, gate, separation=separation, **asked)
             verdicts, team = judge_team(found, verdicts)
         else:
             minimum, team = int(minimum_inliers), ()
@@ -138,20 +130,31 @@ def select(
     return Selection(accepted, tuple(pairs), *names, evidence, seconds, team)
 
 
-def check_minimum(minimum: Any, significance: float | None) -> None:
-    """Raises `InputError` for what is neither "chance" nor a number, or for a level without use."""
+def check_minimum(minimum: Any, of_chance: dict[str, Any]) -> None:
+    """Raises `InputError` for what is neither "chance" nor a number, or for options without use.
+
+    Args:
+        minimum: `minimum_inliers`.
+        of_chance: the options given that "chance" alone can use.
+    """
     if isinstance(minimum, str):
         if minimum != CHANCE:
             raise InputError(
                 f"minimum_inliers: {minimum!r}, expected {CHANCE!r} or a number of closures"
             )
+        on_ambiguous = of_chance.get("on_ambiguous", ON_AMBIGUOUS[0])
+        if on_ambiguous not in ON_AMBIGUOUS:
+            raise InputError(
+                f"on_ambiguous: {on_ambiguous!r}, expected one of {', '.join(ON_AMBIGUOUS)}"
+            )
     elif not minimum >= 0:
         raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
-    elif significance is not None:
-        raise InputError(
-            f"significance: {significance} given with minimum_inliers {minimum}, expected"
-            f" {CHANCE!r} for that"
-        )
+    else:
+        for name, value in of_chance.items():
+            raise InputError(
+                f"{name}: {value} given with minimum_inliers {minimum}, expected {CHANCE!r} for"
+                " that"
+            )
 
 
 def check_graph(graph: Any) -> None:

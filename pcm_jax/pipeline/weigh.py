@@ -16,7 +16,7 @@ from pcm_jax.consistency import (
     PackedGraph,
     PairEvidence,
     problem_from_covariances,
-    squared_mahalanobis,
+    squared_on_host,
     stream_from_covariances,
 )
 from pcm_jax.consistency.evidence import checked_squared
@@ -143,7 +143,7 @@ def _weighed(
     with watch("marginals"):
         problem = problem_from_covariances(a, b, closures)
     with watch("consistency"):
-        return np.asarray(squared_mahalanobis(problem))
+        return squared_on_host(problem)
 
 
 def _streamed(

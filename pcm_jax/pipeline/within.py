@@ -98,7 +98,7 @@ def select_within(
             that is not above 0.
     """
     options = _with_time_limit(method, time_limit, options)
-    check_minimum(minimum_inliers, significance)
+    check_minimum(minimum_inliers, _given(significance))
     _check_numbers(odometry_scale, significance, separation)
     gate = float(chi2_gate(confidence, pose_graph.tangent_dim))
     asked = Asked(gate, method, own_loop, options, separation)
@@ -166,7 +166,7 @@ def clean_maps(
         if has_loops:
             odometry_edges(each)  # raises for any map before the first one takes its time
     minimum = options.get("minimum_inliers", CHANCE)
-    check_minimum(minimum, significance)
+    check_minimum(minimum, _given(significance))
     _check_numbers(significance=significance)
     if minimum == CHANCE:
         level = SIGNIFICANCE if significance is None else significance
@@ -267,6 +267,11 @@ def _why(
         f"{where}, which cannot be told from chance (p = {chance.p_value:.2g},"
         f" {significance:g} asked for)"
     )
+
+
+def _given(significance: float | None) -> dict[str, Any]:
+    """The options given that "chance" alone can use."""
+    return {} if significance is None else {"significance": significance}
 
 
 def _check_numbers(

@@ -34,6 +34,7 @@ class PairSelection:
         weight: of the method's set, where the closures' weights decided; else None.
         weight_bound: no pairwise consistent set weighs more; None likewise.
         verdict: why it was accepted or not, see `integrity.Verdict`.
+        members: bool [k], the method's set, whether it was accepted or not.
     """
 
     evidence: PairEvidence
@@ -45,6 +46,7 @@ class PairSelection:
     weight: float | None = None
     weight_bound: float | None = None
     verdict: Any = None
+    members: Bool[np.ndarray, " k"] | None = None
 
     @classmethod
     def of_choice(
@@ -53,7 +55,8 @@ class PairSelection:
         """The decision on a method's choice, with its certificate."""
         found = int(np.count_nonzero(choice.members))
         proof = choice.optimal, choice.upper_bound, found, choice.weight, choice.weight_bound
-        return cls(evidence, gate, choice.members & verdict.believed, *proof, verdict)
+        accepted = choice.members & verdict.believed
+        return cls(evidence, gate, accepted, *proof, verdict, choice.members)
 
     def __repr__(self) -> str:
         most = self.upper_bound if self.weight is None else f"weight {self.weight_bound:.6g}"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-import lzma
 from typing import Any
 
 import numpy as np
 import pytest
+from square_walk import FALSE, KITTI, RIGHT, RRR, STEPS, square_walk
 
 from benchmarks import place_recognition
 from benchmarks.experiments import real_candidates as real
@@ -18,67 +18,14 @@ from benchmarks.place_recognition import ALL_METHODS, Arm
 from pcm_jax import InputError, lie, select_within
 from pcm_jax.evaluation import ate_rmse
 
-SIDE, ROUNDS = 12, 4
-ROUND = 4 * SIDE
-POSES = ROUNDS * ROUND
-SIGMAS = np.array([0.03, 0.02, 0.004])
-STEPS = [(k, k + 1) for k in range(POSES - 1)]
-RIGHT = [(k, k - ROUND) for k in range(ROUND, POSES, 5)]
-FALSE = [(k, k - 17) for k in range(60, POSES, 9)]
-KITTI, RRR = "kitti_99_alpha_0.50", "Walk_0.300"
 FEW = {name: ALL_METHODS[name] for name in ("no-outliers", "pcm-exact-99", "everything")}
 
 
-def square_walk():
-    """True x, y, heading of a square walked several times, 1 m a step, `[n, 3]`."""
-    turning = np.arange(POSES) % SIDE == SIDE - 1
-    heading = np.concatenate([[0.0], np.cumsum(np.where(turning, np.pi / 2, 0.0))[:-1]])
-    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    places = np.concatenate([np.zeros((1, 2)), np.cumsum(ahead[:-1], axis=0)])
-    return np.column_stack([places, heading])
-
-
-def edge_lines(pairs, sigmas, generator):
-    """g2o lines of measured edges; the false ones say that two poses are the same."""
-    information = " ".join(repr(float(x)) for x in np.diag(SIGMAS**-2)[np.triu_indices(3)])
-    true, lines = square_walk(), []
-    for i, j in pairs:
-        away, turn = true[j] - true[i], true[i, 2]
-        c, s = np.cos(turn), np.sin(turn)
-        z = np.array([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
-        z[2] = np.arctan2(np.sin(z[2]), np.cos(z[2]))
-        z = np.zeros(3) if (i, j) in FALSE else z + sigmas * generator.normal(size=3)
-        lines.append(f"EDGE_SE2 {i} {j} {z[0]!r} {z[1]!r} {z[2]!r} {information}\n")
-    return "".join(lines).replace("np.float64(", "").replace(")", "")
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """A folder with one file of either collection: the same walk and candidates."""
-    folder, generator = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
-    measured = edge_lines(STEPS + RIGHT + FALSE, SIGMAS, generator)
-    kitti, rrr = folder / "kitti_robust" / "99", folder / "rrr"
-    kitti.mkdir(parents=True)
-    rrr.mkdir()
-    (kitti / f"{KITTI}.g2o").write_text("# candidates\n\n" + measured)
-    (kitti / "kitti_99_GT.g2o").write_text(edge_lines(STEPS, 0.0 * SIGMAS, generator))
-    listed = "".join(f"{i} {j}\n" for i, j in RIGHT)
-    (kitti / f"{KITTI}_GT_LC.txt.xz").write_bytes(lzma.compress(listed.encode()))
-    (rrr / f"{RRR}.g2o").write_text(measured)
-    (rrr / "Walk_timestamps.txt").write_text("".join(f"{100 + k}.5\n" for k in range(POSES)))
-    times = 99.5 + np.arange(POSES + 1)  # the first before all poses, then one for each
-    true = square_walk()[np.maximum(np.arange(POSES + 1) - 1, 0)]
-    true[:, 2] = np.arctan2(np.sin(true[:, 2]), np.cos(true[:, 2]))
-    rows = np.column_stack([times, true])
-    np.savetxt(rrr / "Walk-GT-extended.csv", rows, fmt="%.9f", delimiter=", ")
-    return folder
-
-
-def test_truth_and_labels_of_both_collections(data):
-    assert real.found(data) == [RRR, KITTI]
+def test_truth_and_labels_of_both_collections(square_walk_files):
+    assert real.found(square_walk_files) == [RRR, KITTI]
     right = [False] * len(STEPS) + [True] * len(RIGHT) + [False] * len(FALSE)
     for name in (RRR, KITTI):
-        candidates = real.load(data, name)
+        candidates = real.load(square_walk_files, name)
         np.testing.assert_allclose(
             lie.translation(candidates.truth), square_walk()[:, :2], atol=1e-6
         )
@@ -88,8 +35,8 @@ def test_truth_and_labels_of_both_collections(data):
     assert 0 < nearer.sum() < len(RIGHT)
 
 
-def test_the_noise_of_honest_information(data):
-    candidates = real.load(data, KITTI)
+def test_the_noise_of_honest_information(square_walk_files):
+    candidates = real.load(square_walk_files, KITTI)
     noise: Any = real.noise(candidates, select_within(candidates.graph))
     assert noise["steps_against_truth_mean"] == pytest.approx(1.0, abs=0.15)
     assert noise["right_against_truth_mean"] == pytest.approx(1.0, abs=0.4)
@@ -100,8 +47,8 @@ def test_the_noise_of_honest_information(data):
     assert noise["smallest_error_of_false_m"] > 1.0
 
 
-def test_factors_find_a_factor(data):
-    candidates = real.load(data, KITTI)
+def test_factors_find_a_factor(square_walk_files):
+    candidates = real.load(square_walk_files, KITTI)
     found = []
     for factor in (1.0, 0.5):
         graph = real.rescaled(candidates.graph, real.Factors(factor, factor))
@@ -111,22 +58,31 @@ def test_factors_find_a_factor(data):
     np.testing.assert_allclose(found[1], 2.0 * np.array(found[0]), rtol=1e-9)
 
 
-def test_lever_arm_of_a_truth_that_is_of_another_point(data):
-    candidates = real.load(data, KITTI)
+def test_lever_arm_of_a_truth_that_is_of_another_point(square_walk_files):
+    candidates = real.load(square_walk_files, KITTI)
     shift: Any = np.array([-2.0, 0.5, 0.0])
     offset = lie.exp(lie.group_of(candidates.truth), shift)
     moved = candidates._replace(truth=lie.compose(candidates.truth, offset))
     assert real.lever_arm(moved) == pytest.approx(np.hypot(2.0, 0.5), abs=0.05)
 
 
-def test_results_of_one_and_of_two_robots(data, tmp_path, monkeypatch):
+def test_results_of_one_and_of_two_robots(square_walk_files, tmp_path, monkeypatch):
     arms = {
         "two-robots": Arm("odometry", "as-written", FEW),
         "two-robots-cleaned": Arm("cleaned", "data", FEW),
     }
     monkeypatch.setattr(place_recognition, "ARMS", arms)
     monkeypatch.setattr(place_recognition, "LIBRARY", [])  # edits during a test start nothing anew
-    options = ["--data", str(data), "--cuts", "1", "--datasets", KITTI, "--out", str(tmp_path)]
+    options = [
+        "--data",
+        str(square_walk_files),
+        "--cuts",
+        "1",
+        "--datasets",
+        KITTI,
+        "--out",
+        str(tmp_path),
+    ]
     assert place_recognition.main(options) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert set(summary) == {f"{KITTI}/{arm}" for arm in ("one-robot", *arms)}
@@ -170,8 +126,8 @@ def test_rates_are_pooled_and_errors_are_of_what_was_merged():
     assert (figures["fpr"], figures["merged"], figures["ate_rmse"]) == (0.1, 0.5, 2.0)
 
 
-def test_sessions_start_at_their_own_origin(data):
-    candidates = real.load(data, KITTI)
+def test_sessions_start_at_their_own_origin(square_walk_files):
+    candidates = real.load(square_walk_files, KITTI)
     graph = place_recognition.sessions(candidates.graph, 90, "cleaned")
     for one in graph.maps:
         assert lie.parameters(lie.as_numpy(one.poses))[0].tolist() == [1.0, 0.0, 0.0, 0.0]
@@ -179,14 +135,16 @@ def test_sessions_start_at_their_own_origin(data):
     assert candidates.graph.source[rows].tolist() == graph.closures.source.tolist()
 
 
-def test_what_is_not_there(data, tmp_path, capsys):
+def test_what_is_not_there(square_walk_files, tmp_path, capsys):
     with pytest.raises(InputError, match=r"name: 'none', expected one of Walk_0.300, kitti_99"):
-        real.load(data, "none")
+        real.load(square_walk_files, "none")
     with pytest.raises(SystemExit, match="2"):
         place_recognition.main(["--data", str(tmp_path), "--out", str(tmp_path / "out")])
     assert "has no kitti_robust or rrr" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
-        place_recognition.main(["--data", str(data), "--datasets", "x", "--out", str(tmp_path)])
+        place_recognition.main(
+            ["--data", str(square_walk_files), "--datasets", "x", "--out", str(tmp_path)]
+        )
     assert "'x' given, expected some of" in capsys.readouterr().err
 
 

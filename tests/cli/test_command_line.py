@@ -15,7 +15,15 @@ from pcm_jax.files import read_graph
 
 def test_version_and_help(run):
     assert run("--version").out == f"pcm-jax {pcm_jax.__version__}\n"
-    for arguments in ([], ["demo"], ["merge"], ["inspect"], ["simulate"], ["simulate", "city"]):
+    for arguments in (
+        [],
+        ["demo"],
+        ["merge"],
+        ["inspect"],
+        ["explain"],
+        ["simulate"],
+        ["simulate", "city"],
+    ):
         ran = run(*arguments, "--help")
         assert ran.status == 0
         assert ran.out.startswith(f"usage: {' '.join(['pcm-jax', *arguments])}")

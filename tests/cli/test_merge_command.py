@@ -20,7 +20,7 @@ WORLD = {"poses": 60, "inliers": 6, "aliased_groups": 1, "aliased_size": 3, "ran
 
 @pytest.fixture(scope="module")
 def merged(city, tmp_path_factory):
-    """The folder with all three results of merging the city, made once."""
+    """The folder with all results of merging the city, made once."""
     from pcm_jax.cli import main
 
     folder = tmp_path_factory.mktemp("merged")
@@ -29,12 +29,23 @@ def merged(city, tmp_path_factory):
     return folder
 
 
-RESULTS = {"output": "merged.g2o", "report": "report.json", "plot": "merged.png"}
+RESULTS = {
+    "output": "merged.g2o",
+    "report": "report.json",
+    "html": "report.html",
+    "plot": "merged.png",
+}
 
 
 @pytest.fixture
 def report(merged):
     return json.loads((merged / "report.json").read_text())
+
+
+def test_the_page_tells_every_closure(merged, report):
+    text = (merged / "report.html").read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>")
+    assert text.count('<tr id="closure-') == len(report["closures"])
 
 
 def test_the_report_has_the_contracts_fields(report):
@@ -47,7 +58,10 @@ def test_the_report_has_the_contracts_fields(report):
     assert report["gate"] == pytest.approx(11.344866730144373)  # SciPy's chi2.ppf(0.99, 3)
     assert [list(robot) for robot in report["robots"]] == [["name", "poses", "edges"]] * 2
     assert [robot["poses"] for robot in report["robots"]] == [60, 60]
-    fields = ["index", "a", "b", "source", "accepted"]
+    fields = [
+        *("index", "a", "b", "source", "accepted", "why", "standing", "agrees_with", "of", "among"),
+        *("agreeing", "worst_conflict", "enters_at", "fit"),
+    ]
     assert all(list(closure) == fields for closure in report["closures"])
     (pair,) = report["robot_pairs"]
     assert list(pair) == [

@@ -4,11 +4,35 @@ import numpy as np
 import pytest
 from integrity_worlds import evidence_of
 
-from pcm_jax import chi2_gate, merge, select
+from pcm_jax import LoopClosures, chi2_gate, lie, merge, select
 from pcm_jax.integrity import Places, places_of, strongest_rival
-from pcm_jax.integrity.rivals import _nearly_as_large, _reaches_further
+from pcm_jax.integrity.rivals import _countings, _nearly_as_large
+from pcm_jax.simulation import simulate_city
 
 GATE = float(chi2_gate(0.99, 3))
+
+
+def with_runs(world, *, right, wrong):
+    """The world's graph with a run of right closures, and one of wrong ones that agree."""
+    a, b = (lie.as_numpy(poses) for poses in world.truth)
+    near, far = np.arange(20, 20 + right), np.arange(80, 80 + wrong)
+    moved = a.__class__(np.array([np.cos(0.5), np.sin(0.5), 30.0, 20.0]))
+    runs = [
+        lie.between(lie.take(a, near), lie.take(b, near)),
+        lie.between(lie.take(a, far), lie.compose(moved, lie.take(b, far - 40))),
+    ]
+    count = right + wrong
+    added = LoopClosures.from_arrays(
+        robot_a=np.zeros(count, int),
+        pose_a=np.concatenate([near, far]),
+        robot_b=np.ones(count, int),
+        pose_b=np.concatenate([near, far - 40]),
+        measurement=lie.concatenate(runs),
+        information=np.repeat(np.asarray(world.graph.closures.information)[:1], count, axis=0),
+    )
+    closures = LoopClosures.concatenate([world.graph.closures, added])
+    is_true = np.concatenate([world.is_true, np.arange(count) < right])
+    return type(world.graph)(world.graph.maps, closures), is_true
 
 
 def test_two_equal_aliased_groups_are_never_merged():
@@ -56,15 +80,39 @@ def test_closures_left_out_of_the_same_alignment_are_no_rival():
     assert rival is None or not (rival.members & world.is_true).any()
 
 
-def test_a_set_at_one_place_must_be_better_than_one_that_reaches_far():
-    way = np.concatenate([np.linspace(0, 10, 20), [0.0, 100, 200, 300, 310, 320, 330]])
-    one_place, places = np.arange(27) < 20, Places(way, way, 0.0)
-    assert places.count(~one_place) * 2 < places.count(one_place)
-    assert _reaches_further(places, one_place, ~one_place)
-    few = ~one_place & (np.arange(27) < 26)
-    assert not _reaches_further(places, one_place, few)  # six of them, against twenty
-    spread = np.arange(27.0)
-    assert not _reaches_further(Places(spread, spread, 0.0), one_place, ~one_place)
+def counted_by(way, members, rival, longer=800.0):
+    """The separations at which a rival's witnesses are worth a test."""
+    return [one.separation for one in _countings(Places(way, way, 0.0), members, rival, longer)]
+
+
+def test_a_set_in_one_stretch_is_worth_no_more_than_a_rival_in_another():
+    """Twenty closures within 17 m against eight within 10 m: a corridor taken for another?"""
+    way = np.concatenate([np.linspace(0, 17, 20), np.linspace(500, 510, 8)])
+    members = np.arange(28) < 20
+    assert counted_by(way, members, ~members) == [0.0]
+    assert counted_by(way, members, np.arange(28) >= 22) == []  # six of them, against twenty
+    assert counted_by(way, members, ~members, longer=150.0) == []  # a good part of the way
+    far = np.concatenate([np.linspace(0, 17, 20), [500, 501, 600, 700, 710, 720, 730]])
+    members = np.arange(27) < 20
+    assert counted_by(far, members, ~members) == [0.0]  # all the more so
+    long = np.concatenate([np.linspace(0, 50, 20), np.linspace(500, 510, 8)])
+    members = np.arange(28) < 20
+    assert counted_by(long, members, ~members) == []  # five stretches as long as the rival
+    spread = np.arange(0.0, 54.0, 2.0)
+    assert counted_by(spread, np.arange(27) < 12, np.arange(27) >= 20, 0.0) == [0.0]  # 7 of 12
+
+
+def test_a_corridor_taken_for_another():
+    """A run of wrong closures outvotes right ones in a shorter stretch: neither is merged."""
+    world = simulate_city(seed=3, poses=300, inliers=0, aliased_groups=0, random=40)
+    graph, is_true = with_runs(world, right=12, wrong=20)
+    (pair,) = select(graph, minimum_inliers=2).pairs
+    assert pair.accepted.sum() >= 20 and not is_true[pair.accepted].any()
+    (pair,) = select(graph).pairs
+    assert pair.verdict.ambiguous and not pair.accepted.any()
+    assert is_true[pair.verdict.rival.members].sum() >= 11
+    (pair,) = select(type(graph)(graph.maps, graph.closures[~is_true])).pairs
+    assert not pair.verdict.ambiguous  # nothing beyond chance speaks against it
 
 
 def test_nothing_else_agrees():

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from pcm_jax import lie
+from pcm_jax.compiling import ALWAYS
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
 from pcm_jax.mapping import _callbacks, _gauss_newton, least_squares, optimize
 from pcm_jax.mapping.least_squares import padded_edges
@@ -96,6 +97,7 @@ def elsewhere(world, tmp_path_factory):
     environment = {k: v for k, v in os.environ.items() if k != "JAX_ENABLE_X64"} | {
         "JAX_PLATFORMS": "cpu",
         "XLA_FLAGS": "--xla_force_host_platform_device_count=8",
+        ALWAYS: "always",
     }
     done = subprocess.run(
         [sys.executable, "-c", CODE, str(folder)],
@@ -141,6 +143,7 @@ def test_on_a_cpu_the_solver_calls_back_without_copies(world, solver):
 
 def test_optimize_lowers_one_program_in_64_bits_for_the_cpu(world, monkeypatch):
     """Whatever the caller's own types are: here those of JAX's default, of 32 bits."""
+    monkeypatch.setenv(ALWAYS, "always")
     lowered, compiled = [], least_squares._compiled
 
     def watched(*options):

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import simulate_city
@@ -101,6 +101,17 @@ def test_merged_poses_errors_have_their_covariance():
         at_middle.append(off @ np.linalg.solve(found.anchor_covariance_at_middle[1], off))
     for total, dof in ((sum(squared), 9 * WORLDS), (sum(at_middle), 3 * WORLDS)):
         assert chi2.ppf(0.005, dof) < total < chi2.ppf(0.995, dof)
+
+
+def test_headings_that_are_hardly_known_are_told():
+    """Where errors of poses are no longer linear in those of headings."""
+    world = simulate_city(
+        seed=1, poses=40, inliers=3, aliased_groups=0, random=0, sigma_rotation=0.5
+    )
+    maps = [one.with_edges(one.head - one.tail == 1) for one in world.graph.maps]
+    result = merge(MultiRobotGraph(tuple(maps), world.graph.closures), method="all")
+    with pytest.warns(InputWarning, match=r"poses: the heading of pose \d+ of robot b is known to"):
+        result.marginals(1)
 
 
 def test_about_the_middle_it_does_not_matter_where_the_origin_lies(result):

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from pcm_jax.compiling import ALWAYS
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import simulate_city
 
@@ -14,8 +15,9 @@ jax.monitoring.register_event_duration_secs_listener(
 )
 
 
-def test_ten_robot_pairs_compile_once_or_twice():
+def test_ten_robot_pairs_compile_once_or_twice(monkeypatch):
     """Every program of a merge, for ten pairs of 60 to 240 poses and 9 to 60 closures."""
+    monkeypatch.setenv(ALWAYS, "always")
     rng = np.random.default_rng(0)
     worlds = [
         simulate_city(

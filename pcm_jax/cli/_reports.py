@@ -1,0 +1,42 @@
+"""Reports that `merge --report` wrote, read again without anything heavy."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pcm_jax.errors import FileFormatError
+
+OURS = ("version", "method", "robots", "closures", "robot_pairs", "groups")
+OF_CLOSURE = ("index", "a", "b", "accepted", "why")
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """The report in a file.
+
+    Raises:
+        FileFormatError: for what is no JSON, or no report of a merge with its explanations.
+    """
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError:
+        raise _not_ours(path, "no text") from None
+    except json.JSONDecodeError as error:
+        raise FileFormatError(path, error.lineno, f"no JSON: {error.msg}") from None
+    if not isinstance(report, dict):
+        raise _not_ours(path, f"a JSON {type(report).__name__}")
+    for key in OURS:
+        if key not in report:
+            raise _not_ours(path, f"JSON without {key!r}")
+    for number, row in enumerate(report["closures"]):
+        missing = [key for key in OF_CLOSURE if not isinstance(row, dict) or key not in row]
+        if missing:
+            raise _not_ours(path, f"closures[{number}] without {missing[0]!r}")
+    return report
+
+
+def _not_ours(path: Path, found: str) -> FileFormatError:
+    return FileFormatError(
+        path, None, f"{found}, expected a report that pcm-jax merge --report of this version wrote"
+    )

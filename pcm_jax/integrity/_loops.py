@@ -1,0 +1,199 @@
+"""The loops of single pairs of closures: how far each misses, and through whose errors it may.
+
+As in the closed form of eq. 4 (`consistency`), with T_u = X_i z_u Y_k⁻¹ where closure u alone puts
+map b, S_u = X_i z_u, and left perturbations in the maps' frames,
+
+    r = Log(T_v T_u⁻¹),    M = Ga_ij + Ad(T_v) Gb_kl Ad(T_v)ᵀ + Z_u + Z_v,    q²_uv = rᵀ M⁻¹ r
+
+but for chosen pairs instead of all, in NumPy: of each map only the columns of its covariance that
+pairs ask for are found (`MapCovariance.columns`), so neither Q nor a joint covariance is held.
+
+Walked from the end of closure u, the loop ends at E = S_u⁻¹ T_v T_u⁻¹ S_u instead of at its start.
+It misses by |t| metres and |θ| radians, t and θ those of E. An error e of M moves E to
+`exp(Ad(S_u⁻¹) e) E`, and to first order |t| and |θ| by its parts along t and θ: hence the sigmas.
+Parts of M's sum take part in q² as wᵀ(·)w with w = M⁻¹ r, which add up to q²: the shares.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pcm_jax import lie
+from pcm_jax.graph import LoopClosures
+from pcm_jax.mapping import MapCovariance
+
+PARTNERS, PAIRS = 32, 50_000
+"""Partners of which columns of a map's covariance are held at a time, and pairs: 90 MB in space."""
+
+
+class Misses(NamedTuple):
+    """The loops of p pairs of closures, each walked the way in which it fits worse.
+
+    Attributes:
+        squared: `[p]`, the larger of q²_uv and q²_vu.
+        translation: `[p]`, metres by which the loop misses.
+        rotation: `[p]`, radians.
+        sigma: `[p, 2]`, their standard deviations for two right closures; metres, radians.
+        shares: `[p, 3]`, of map a, map b and the two measurements in q²; they add up to 1.
+    """
+
+    squared: Float[np.ndarray, " p"]
+    translation: Float[np.ndarray, " p"]
+    rotation: Float[np.ndarray, " p"]
+    sigma: Float[np.ndarray, "p 2"]
+    shares: Float[np.ndarray, "p 3"]
+
+
+class Loops:
+    """The loops that a pair of robots' closures make, of as many pairs as are asked for.
+
+    Args:
+        covariances: a `MapCovariance` of map a and of map b.
+        closures: all from a to b.
+    """
+
+    def __init__(self, covariances: tuple[MapCovariance, MapCovariance], closures: LoopClosures):
+        a, b = covariances
+        poses = np.asarray(closures.pose_a), np.asarray(closures.pose_b)
+        measured = lie.as_numpy(closures.measurement)
+        self.reached = lie.compose(lie.take(a.frame, poses[0]), measured)
+        self.placed = lie.compose(self.reached, lie.inverse(lie.take(b.frame, poses[1])))
+        information = np.asarray(closures.information, np.float64)
+        adjoint = np.asarray(lie.adjoint(self.reached))
+        self._noise = adjoint @ np.linalg.inv(information) @ adjoint.swapaxes(1, 2)
+        self._sides = _Side(a, poses[0]), _Side(b, poses[1])
+
+    def squared(
+        self, rows: Int[np.ndarray, " r"], columns: Int[np.ndarray, " c"]
+    ) -> Float[np.ndarray, "r c"]:
+        """The larger of q²_uv and q²_vu of all u in `rows` and v in `columns`; 0 for u = v."""
+        if len(columns) > len(rows):
+            return self.squared(columns, rows).T
+        u, v = np.repeat(rows, len(columns)), np.tile(columns, len(rows))
+        found = np.zeros(len(u))
+        for some in self._portions(v):
+            error, parts = self._parts(u[some], v[some])
+            total = parts.sum(axis=1)
+            found[some] = np.maximum(*(_form(one, error) for one in (total[:, 0], total[:, 1])))
+        return np.where(u == v, 0.0, found).reshape(len(rows), len(columns))
+
+    def misses(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Misses:
+        """Walks the loops of pairs of closures."""
+        found = Misses(*(np.zeros((len(u), *shape)) for shape in ((), (), (), (2,), (3,))))
+        for some in self._portions(v):
+            for whole, own in zip(found, self._missed(u[some], v[some]), strict=True):
+                whole[some] = own
+        return found
+
+    def _portions(self, partners: Int[np.ndarray, " p"]) -> list[Int[np.ndarray, " q"]]:
+        """The pairs, cut into portions of few partners and few pairs."""
+        which, counts = np.unique(partners, return_inverse=True, return_counts=True)[1:]
+        ends, held, last = [], 0, 0
+        for partner, count in enumerate(counts.tolist()):
+            if held and (held + count > PAIRS or partner - last == PARTNERS):
+                ends.append(partner)
+                held, last = 0, partner
+            held += count
+        order = np.argsort(which, kind="stable")
+        return np.split(order, np.searchsorted(which[order], ends))
+
+    def _parts(
+        self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, "p d"], Float[np.ndarray, "p 3 2 d d"]]:
+        """The error r of each loop, and what the maps and the closures add to M, either way."""
+        t_u, t_v = lie.take(self.placed, u), lie.take(self.placed, v)
+        error = np.asarray(lie.log(lie.compose(t_v, lie.inverse(t_u))))
+        of_a, of_b = (side.between(u, v) for side in self._sides)
+        turned = [_carried(np.asarray(lie.adjoint(t)), of_b) for t in (t_v, t_u)]
+        noise = self._noise[u] + self._noise[v]
+        parts = [np.stack(both, axis=1) for both in ((of_a, of_a), turned, (noise, noise))]
+        return error, np.stack(parts, axis=1)
+
+    def _missed(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Misses:
+        error, parts = self._parts(u, v)
+        both = np.stack([_form(parts[:, :, way].sum(axis=1), error) for way in (0, 1)], axis=1)
+        backward = both[:, 1] > both[:, 0]
+        parts = np.where(backward[:, None, None, None], parts[:, :, 1], parts[:, :, 0])
+        weight = _solved(parts.sum(axis=1), error)
+        squared = np.einsum("pd,pd->p", weight, error)
+        shares = np.einsum("pi,psij,pj->ps", weight, parts, weight)
+        ends = np.where(backward, v, u)
+        own, other = (lie.take(self.placed, one) for one in (ends, np.where(backward, u, v)))
+        about = lie.take(self.reached, ends)
+        loop = lie.compose(
+            lie.compose(lie.inverse(about), lie.compose(other, lie.inverse(own))), about
+        )
+        seen = _carried(np.asarray(lie.adjoint(lie.inverse(about))), parts.sum(axis=1))
+        translation = np.asarray(lie.translation(loop))
+        space = translation.shape[1]
+        rotation = np.asarray(lie.log(loop))[:, space:]
+        sigma = np.stack(
+            [
+                _along(translation, seen[:, :space, :space]),
+                _along(rotation, seen[:, space:, space:]),
+            ],
+            axis=1,
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = shares / squared[:, None]
+        lengths = np.linalg.norm(translation, axis=1), np.linalg.norm(rotation, axis=1)
+        return Misses(both.max(axis=1), *lengths, sigma, shares)
+
+
+class _Side:
+    """One map: G of any pairs of closures, from columns of its covariance."""
+
+    def __init__(self, covariance: MapCovariance, touching: Int[np.ndarray, " k"]):
+        self._covariance, self._touching = covariance, touching
+        self._own: dict[int, np.ndarray] = {}
+
+    def between(
+        self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]
+    ) -> Float[np.ndarray, "p d d"]:
+        """G_ij = Σ_ii + Σ_jj − Σ_ij − Σ_ijᵀ of the poses that closures u and v touch."""
+        rows, row = np.unique(self._touching[u], return_inverse=True)
+        columns, column = np.unique(self._touching[v], return_inverse=True)
+        found = self._covariance.columns(columns, side="left").rows(rows, side="left")
+        cross = found[row, :, :, column]
+        same: Bool[np.ndarray, " p"] = self._touching[u] == self._touching[v]
+        own = self._diagonal(rows)[row] + self._diagonal(columns)[column]
+        return np.where(same[:, None, None], 0.0, own - cross - cross.swapaxes(1, 2))
+
+    def _diagonal(self, poses: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n d d"]:
+        missing = np.array([pose for pose in poses.tolist() if pose not in self._own], np.int64)
+        if len(missing):
+            own = self._covariance.diagonal(missing, side="left")
+            self._own |= dict(zip(missing.tolist(), own, strict=True))
+        return np.stack([self._own[pose] for pose in poses.tolist()])
+
+
+def _carried(adjoint: Float[np.ndarray, "p d d"], covariance: Any) -> Float[np.ndarray, "p d d"]:
+    return adjoint @ covariance @ adjoint.swapaxes(1, 2)
+
+
+def _solved(matrices: Any, vectors: Any) -> Float[np.ndarray, "p d"]:
+    """M⁻¹ r; NaN where M is singular."""
+    try:
+        return np.linalg.solve(matrices, vectors[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        singular = np.linalg.matrix_rank(matrices) < matrices.shape[-1]
+        safe = np.where(singular[:, None, None], np.eye(matrices.shape[-1]), matrices)
+        return np.where(
+            singular[:, None], np.nan, np.linalg.solve(safe, vectors[..., None])[..., 0]
+        )
+
+
+def _form(matrices: Any, vectors: Any) -> Float[np.ndarray, " p"]:
+    return np.einsum("pd,pd->p", vectors, _solved(matrices, vectors))
+
+
+def _along(vectors: Float[np.ndarray, "p s"], covariance: Float[np.ndarray, "p s s"]) -> Any:
+    """The standard deviation of a vector's length; of one of no length, that of a mean axis."""
+    length = np.linalg.norm(vectors, axis=1)
+    none = length < np.finfo(float).tiny
+    unit = vectors / np.where(none, 1.0, length)[:, None]
+    mean = np.trace(covariance, axis1=1, axis2=2) / vectors.shape[1]
+    return np.sqrt(np.where(none, mean, np.einsum("pi,pij,pj->p", unit, covariance, unit)))
