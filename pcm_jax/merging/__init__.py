@@ -9,7 +9,7 @@ merged           every group at its optimum, and the poses back in the robots' m
 _recall          edges that were left out, but agree with the merged map, come back
 refine           that, and graduated non-convexity before it
 refinement       `Refinement`: what these changed
-untied           directions in which closures of singular information leave a map free
+_untied          directions in which closures of singular information leave a map free
 _strain          which part of a merge does not fit
 _one_more_or_less     how far the anchors would move if a closure were decided the other way
 _report          the rows of its report

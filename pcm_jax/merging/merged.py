@@ -13,12 +13,12 @@ from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.mapping.priors import freedom_added
 from pcm_jax.merging._frames import in_frame_of_priors, of_one_frame, with_priors
+from pcm_jax.merging._untied import untied
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import closures_within, robot_groups
 from pcm_jax.merging.joint import cut_apart, joint_graph, solve_joint
 from pcm_jax.merging.result import MergeSolution
 from pcm_jax.merging.robust import RobustSolution
-from pcm_jax.merging.untied import untied
 
 
 class Merged(NamedTuple):

@@ -21,11 +21,11 @@ from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging._one_more_or_less import anchor_shift
 from pcm_jax.merging._report import closure_rows, pair_rows, pose_fields
 from pcm_jax.merging._strain import strain
+from pcm_jax.merging._untied import untied
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.refinement import Refinement
 from pcm_jax.merging.robust import RobustSolution
-from pcm_jax.merging.untied import untied
 from pcm_jax.selection import Selection
 
 LINEAR_TO = np.radians(40.0)
