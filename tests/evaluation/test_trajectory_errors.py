@@ -190,6 +190,10 @@ def test_poses_are_matched_by_id():
     errors = trajectory_errors(own, graph(truth, "a"), align=None)
     assert errors.robots[0].matched_by == "id"
     assert errors.absolute.count == 4 and errors.absolute.translation.max == 0.0
+    row = lie.from_components(jaxlie.SE2, (np.ones(4), np.zeros(4), kept * 1.0, np.zeros(4)))
+    line = graph(row, "a", ids=kept)
+    along = trajectory_errors(line, line, align=None, delta_metres=5.0)
+    assert along.relative.count == 2  # from 7 back to 2, and from there past 3 to 9
     keyed = dataclasses.replace(own, ids=symbols.keys("x", kept))
     errors = trajectory_errors(keyed, graph(truth, "a"), align=None)
     assert errors.absolute.count == 4 and errors.absolute.translation.max == 0.0
