@@ -5,7 +5,7 @@ _arguments   the options of all commands
 _cache       compiled programs kept on disk between commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
-demo, explain, formats, inspect, merge, simulate     a module per command, with a `run(arguments)`
+demo, evaluate, explain, formats, inspect, merge, simulate  a module per command: `run(arguments)`
 _summary     the text that a merge prints
 _advice      the one thing to do next, where something about a merge is odd
 _reports     reports of merges, read again

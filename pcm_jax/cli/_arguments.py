@@ -57,6 +57,7 @@ def parser() -> argparse.ArgumentParser:
     _merge(commands)
     _inspect(commands)
     _explain(commands)
+    _evaluate(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
@@ -203,6 +204,54 @@ def _explain(commands: Any) -> None:
     explain.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
+def _evaluate(commands: Any) -> None:
+    evaluate = _command(
+        commands,
+        "evaluate",
+        "Compare trajectories with the truth: absolute and relative errors (ATE, RPE) of each "
+        "robot and of all, as evo defines them.",
+    )
+    kinds = "a pose graph with all robots, or files of each (see: pcm-jax formats)"
+    evaluate.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help=f"the estimate: {kinds}"
+    )
+    evaluate.add_argument(
+        "--truth",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        required=True,
+        help=f"the true poses: {kinds}",
+    )
+    evaluate.add_argument(
+        "--align",
+        choices=("joint", "each", "none"),
+        default="joint",
+        help="one rigid motion of all robots into the truth's frame, one of each, or none "
+        "(default: %(default)s)",
+    )
+    step = evaluate.add_mutually_exclusive_group()
+    step.add_argument(
+        "--delta",
+        type=int,
+        metavar="N",
+        default=1,
+        help="frames in a step of the relative error (default: %(default)s)",
+    )
+    step.add_argument(
+        "--delta-metres", type=float, metavar="M", help="metres in a step instead, as travelled"
+    )
+    evaluate.add_argument(
+        "--max-difference",
+        type=float,
+        metavar="S",
+        default=0.01,
+        help="seconds by which the time stamps of one pose may differ (default: %(default)s)",
+    )
+    evaluate.add_argument("--json", action="store_true", help="print JSON instead of text")
+    _ids(evaluate)
+
+
 def _simulate(commands: Any) -> None:
     simulate = _command(
         commands, "simulate", "Write simulated maps, candidate closures and which of them are true."
@@ -271,12 +320,7 @@ def _reading(command: argparse.ArgumentParser) -> None:
         help="whether the files hold the information, its square root or its inverse (default: "
         "%(default)s)",
     )
-    command.add_argument(
-        "--ids",
-        choices=("auto", "per-file", "shared", "symbols"),
-        default="auto",
-        help="whose poses the files' ids are (default: %(default)s)",
-    )
+    _ids(command)
     command.add_argument(
         "--default-sigmas",
         "--sigmas",
@@ -293,4 +337,13 @@ def _reading(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--ignore-priors", action="store_true", help="leave out poses measured by themselves"
+    )
+
+
+def _ids(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--ids",
+        choices=("auto", "per-file", "shared", "symbols"),
+        default="auto",
+        help="whose poses the files' ids are (default: %(default)s)",
     )
