@@ -117,8 +117,15 @@ WITHIN: dict[str, tuple[str, dict[str, Any]]] = {
     "within-pcm-99-rescaled-by-truth": ("truth", {}),
     "within-pcm-99-pairs-only": ("as-written", {"own_loop": False}),
     "within-ransac-99": ("as-written", {"method": "ransac"}),
+    "within-pcm-99-sure-2": ("sure-2", {}),
+    "within-pcm-99-sure-5": ("sure-5", {}),
+    "within-pcm-99-sure-15": ("sure-15", {}),
+    "within-pcm-99-sure-5-as-stated": ("sure-5", {"odometry_scale": 1.0, "minimum_inliers": 2}),
 }
-"""What `select_within` is asked of the whole trajectory: factors and options."""
+"""What `select_within` is asked of the whole trajectory: factors and options.
+
+"sure-5": odometry states its errors 5 times smaller than the file does; as stated: without asking
+the closures by how much."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -240,6 +247,8 @@ def factors_of(data: Path, name: str, kind: str) -> Factors:
     """The factors of an arm."""
     if kind == "as-written":
         return Factors()
+    if kind.startswith("sure-"):
+        return Factors(odometry=float(kind.removeprefix("sure-")) ** -2)
     candidates, selection = load(data, name), selection_of(data, name)
     if kind == "data":
         return real.factors_of_data(selection, candidates.graph)

@@ -373,16 +373,15 @@ def draw(path: Path, summary: Mapping[str, Mapping[str, Mapping[str, float]]]) -
         xscale="log", xlabel="right closures", ylabel="accepted, %", title="City10000, calibrated"
     )
     left.legend(fontsize="small")
-    cells = [f"csail, {level}, stated" for level in LEVELS]
+    cells = [f"csail, {level}, unstated" for level in LEVELS]
     cells = [cell for cell in cells if cell in summary]
     for k, name in enumerate(summary[cells[0]] if cells else ()):
         values = [summary[cell][name]["ate"] for cell in cells]
         right.bar(np.arange(len(cells)) + 0.11 * k, values, 0.1, label=name)
     right.set_xticks(np.arange(len(cells)) + 0.33, [cell.split(", ")[1] for cell in cells])
-    right.set(
-        xlabel="noise", ylabel="ATE, m", yscale="log", title="CSAIL in three pieces, noise stated"
-    )
-    right.legend(fontsize="small")
+    right.set(xlabel="noise of odometry besides", ylabel="ATE, m", yscale="log")
+    right.set_title("CSAIL in three pieces, noise not stated")
+    right.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, -0.45), ncols=3)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -65,14 +65,12 @@ if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
     from pcm_jax.mapping import MapCovariance, Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge_differentiable
-    from pcm_jax.pipeline import merge, select, weigh
+    from pcm_jax.pipeline import calibrate, clean_maps, merge, select, select_within, weigh
     from pcm_jax.selection import (
         Selection,
         WithinSelection,
-        clean_maps,
         select_batched,
         select_from,
-        select_within,
         soft_select,
     )
 
@@ -100,6 +98,7 @@ __all__ = [
     "WithinSelection",
     "alignment_difference",
     "ate_rmse",
+    "calibrate",
     "chi2_gate",
     "clean_maps",
     "consistency_graph",
@@ -168,16 +167,14 @@ _NAMES_OF = {
     "selection": (
         "Selection",
         "WithinSelection",
-        "clean_maps",
         "select_batched",
         "select_from",
-        "select_within",
         "soft_select",
     ),
     "evaluation": ("ate_rmse", "false_positive_rate", "precision", "true_positive_rate"),
     "experiments": ("sweep",),
     "merging": ("MergeResult", "merge_differentiable"),
-    "pipeline": ("merge", "select", "weigh"),
+    "pipeline": ("calibrate", "clean_maps", "merge", "select", "select_within", "weigh"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}
 

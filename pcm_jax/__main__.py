@@ -1,6 +1,6 @@
 """`python -m pcm_jax` is `pcm-jax`."""
 
-from pcm_jax.cli import main
+from pcm_jax.cli import console
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    console()

@@ -103,6 +103,32 @@ def namespace(*values: Any) -> ModuleType:
     return np if given else jnp
 
 
+def as_array(values: Any, argument: str) -> np.ndarray:
+    """Makes an array of a user's values.
+
+    Raises:
+        InputError: where it makes nothing of them, as of rows of several lengths.
+    """
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError):
+        raise InputError(f"{argument}: {type(values).__name__} given, expected an array") from None
+
+
+def as_real(values: Any, argument: str) -> np.ndarray:
+    """Numbers as float64: booleans, complex and masked ones are none.
+
+    Raises:
+        InputError: for anything else.
+    """
+    array = as_array(values, argument)
+    if array.dtype.kind not in "iuf" or isinstance(values, np.ma.MaskedArray):
+        kind = type(values).__name__ if array.dtype.kind == "O" else array.dtype
+        masked = "masked " * isinstance(values, np.ma.MaskedArray)
+        raise InputError(f"{argument}: {masked}{kind} given, expected real numbers")
+    return array.astype(np.float64)
+
+
 def bucket(size: int, *, smallest: int = SMALLEST, fine_above: int = 0) -> int:
     """The least of a few sizes that is at least `size`: padded problems share compilations.
 

@@ -2,20 +2,24 @@
 
 A file is written whole or not at all: under a name that starts with a dot, which readers of the
 folder pass over, and then renamed. All that a result depends on is digested into a stamp, and a
-result of another stamp is none.
+result of another stamp is none; so is one whose own digest is not what it says.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
+import secrets
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+TRAILER = 16  # bytes after an array: the digest of those before
 
 
 def digest(*values: Any, files: Iterable[Path] = ()) -> str:
@@ -44,11 +48,24 @@ def digest(*values: Any, files: Iterable[Path] = ()) -> str:
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """Hands out the name under which a file is to be written, and renames it once it is done."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    """Hands out the name under which a file is to be written, and renames it once it is done.
+
+    The name is nobody else's. A link at `path` stays, and what it
+    leads to is replaced; a file that is there keeps its mode. The new one is on disk before it is
+    renamed.
+    """
+    target = Path(os.path.realpath(path))
+    unfinished = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}")
     try:
+        mode = target.stat().st_mode & 0o7777 if target.exists() else None
+        # Nobody reads it before it has the mode of the file that it replaces.
+        os.close(os.open(unfinished, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode or 0o666))
         yield unfinished
-        unfinished.replace(path)
+        if mode is not None:
+            unfinished.chmod(mode)
+        with unfinished.open("rb") as file:
+            os.fsync(file.fileno())
+        unfinished.replace(target)
     finally:
         unfinished.unlink(missing_ok=True)
 
@@ -62,6 +79,15 @@ def write_json(path: Path, value: Any) -> None:
     text = json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
     with written_whole(path) as unfinished:
         unfinished.write_text(text + "\n")
+
+
+def _digest_of(result: Any) -> str:
+    """Digests plain data as JSON has it."""
+    return digest(json.dumps(result, sort_keys=True, allow_nan=False))
+
+
+def _checksum(content: bytes) -> bytes:
+    return hashlib.blake2b(content, digest_size=TRAILER).digest()
 
 
 class Store:
@@ -92,7 +118,8 @@ class Store:
             return None
         try:
             kept = json.loads((self.folder / f"{name}.json").read_text())
-            return kept["result"] if kept["stamp"] == self.stamp else None
+            whole = kept["stamp"] == self.stamp and kept["digest"] == _digest_of(kept["result"])
+            return kept["result"] if whole else None
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
@@ -100,15 +127,21 @@ class Store:
         """Keeps a result, and returns it as it will be read."""
         if self.folder is None:
             return result
-        write_json(self.folder / f"{name}.json", {"stamp": self.stamp, "result": result})
+        result = json.loads(json.dumps(result, allow_nan=False))
+        kept = {"stamp": self.stamp, "digest": _digest_of(result), "result": result}
+        write_json(self.folder / f"{name}.json", kept)
         return self.read(name)
 
     def read_array(self, name: str) -> np.ndarray | None:
-        """Returns an array mapped from its file; None if there is none, or a broken one."""
+        """Returns an array; None if there is none, or one that was changed or cut short."""
         if self.folder is None:
             return None
         try:
-            return np.load(self._array(self.folder, name), mmap_mode="r")
+            data = self._array(self.folder, name).read_bytes()
+            content, trailer = data[:-TRAILER], data[-TRAILER:]
+            if _checksum(content) != trailer:
+                return None
+            return np.load(io.BytesIO(content), allow_pickle=False)
         except (OSError, EOFError, ValueError):
             return None
 
@@ -117,8 +150,10 @@ class Store:
         if self.folder is None:
             return
         path = self._array(self.folder, name)
-        with written_whole(path) as unfinished, unfinished.open("wb") as file:
-            np.save(file, array)
+        content = io.BytesIO()
+        np.save(content, array, allow_pickle=False)
+        with written_whole(path) as unfinished:
+            unfinished.write_bytes(content.getvalue() + _checksum(content.getvalue()))
 
     def _array(self, folder: Path, name: str) -> Path:
         return folder / f"{self.stamp}-{name}.npy"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import stat
 
 import numpy as np
 import pytest
 
+from pcm_jax.files.output import write_text
 from pcm_jax.store import Store, digest, write_json, written_whole
 
 
@@ -77,3 +79,54 @@ def test_stamps_tell_values_shapes_types_and_files_apart(tmp_path):
     ]
     assert len(set(stamps)) == len(stamps)
     assert digest(zeros) == digest(np.zeros((4, 2))[:, 0])  # layout is no difference
+
+
+def test_a_link_stays_and_what_it_leads_to_is_replaced(tmp_path):
+    (tmp_path / "far").mkdir()
+    real, link = tmp_path / "far" / "real.txt", tmp_path / "link.txt"
+    real.write_text("old")
+    link.symlink_to(real)
+    write_text(link, "new")
+    assert link.is_symlink() and real.read_text() == "new"
+    link.unlink()
+    link.symlink_to(tmp_path / "far" / "not yet.txt")
+    write_text(link, "made")
+    assert link.is_symlink() and (tmp_path / "far" / "not yet.txt").read_text() == "made"
+    assert sorted(each.name for each in tmp_path.rglob("*.txt")) == [
+        "link.txt",
+        "not yet.txt",
+        "real.txt",
+    ]
+
+
+def test_a_file_keeps_its_mode(tmp_path):
+    secret, fresh, beside = (tmp_path / name for name in ("secret", "fresh", "beside"))
+    secret.write_text("old")
+    secret.chmod(0o600)
+    write_text(secret, "new")
+    write_text(fresh, "new")
+    beside.write_text("as the system makes files")
+    assert secret.read_text() == "new" and stat.S_IMODE(secret.stat().st_mode) == 0o600
+    assert fresh.stat().st_mode == beside.stat().st_mode
+
+
+def test_no_two_writers_share_an_unfinished_file(tmp_path):
+    with written_whole(tmp_path / "one") as first, written_whole(tmp_path / "one") as second:
+        assert first != second
+        first.write_text("1")
+        second.write_text("2")
+    assert [each.name for each in tmp_path.iterdir()] == ["one"]
+
+
+def test_results_that_were_changed_are_none(tmp_path):
+    store = Store(tmp_path, "s")
+    store.write("one", {"tpr": 0.97})
+    store.write_array("panel", np.arange(6))
+    path = tmp_path / "one.json"
+    path.write_text(path.read_text().replace("0.97", "0.98"))
+    assert store.read("one") is None
+    (array,) = tmp_path.glob("s-*")
+    data = bytearray(array.read_bytes())
+    data[-20] ^= 1  # of a number, not of its digest
+    array.write_bytes(data)
+    assert store.read_array("panel") is None

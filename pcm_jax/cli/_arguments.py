@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pcm_jax import __version__
+from pcm_jax.cli._evaluate_arguments import add_evaluate_options
 
 DEMO_PICTURE = Path("pcm-jax-demo.png")
 
@@ -57,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     _merge(commands)
     _inspect(commands)
     _explain(commands)
+    _calibrate(commands)
     _evaluate(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
@@ -159,6 +161,11 @@ def _merge(commands: Any) -> None:
         help="before that, drop loop closures inside each robot's own map by PCM, at the same "
         "confidence: those that disagree with its odometry or among themselves",
     )
+    merge.add_argument(
+        "--calibrate",
+        action="store_true",
+        help="say in the report and below the table by which factors the stated information is off",
+    )
     _reading(merge)
     merge.add_argument(
         "--output",
@@ -211,45 +218,54 @@ def _evaluate(commands: Any) -> None:
         "Compare trajectories with the truth: absolute and relative errors (ATE, RPE) of each "
         "robot and of all, as evo defines them.",
     )
-    kinds = "a pose graph with all robots, or files of each (see: pcm-jax formats)"
-    evaluate.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help=f"the estimate: {kinds}"
-    )
-    evaluate.add_argument(
-        "--truth",
-        type=Path,
-        nargs="+",
-        metavar="FILE",
-        required=True,
-        help=f"the true poses: {kinds}",
-    )
-    evaluate.add_argument(
-        "--align",
-        choices=("joint", "each", "none"),
-        default="joint",
-        help="one rigid motion of all robots into the truth's frame, one of each, or none "
-        "(default: %(default)s)",
-    )
-    step = evaluate.add_mutually_exclusive_group()
-    step.add_argument(
-        "--delta",
-        type=int,
-        metavar="N",
-        default=1,
-        help="frames in a step of the relative error (default: %(default)s)",
-    )
-    step.add_argument(
-        "--delta-metres", type=float, metavar="M", help="metres in a step instead, as travelled"
-    )
-    evaluate.add_argument(
-        "--max-difference",
-        type=float,
-        metavar="S",
-        default=0.01,
-        help="seconds by which the time stamps of one pose may differ (default: %(default)s)",
-    )
-    evaluate.add_argument("--json", action="store_true", help="print JSON instead of text")
+    add_evaluate_options(evaluate)
     _ids(evaluate)
+
+
+def _calibrate(commands: Any) -> None:
+    calibrate = _command(
+        commands,
+        "calibrate",
+        "Say by which factors the stated information of odometry and of closures is off, from "
+        "loops inside the maps and closures between robots that agree.",
+    )
+    _files(calibrate)
+    calibrate.add_argument(
+        "--split", choices=("components",), help="make a robot of each session in a file"
+    )
+    calibrate.add_argument(
+        "--drift",
+        type=_positive,
+        nargs=2,
+        metavar=("PERCENT", "DEG_PER_M"),
+        help="odometry's error after 100 m, in place of the information that files state",
+    )
+    calibrate.add_argument(
+        "--closure-sigmas",
+        type=_positive,
+        nargs=2,
+        metavar=("M", "RAD"),
+        help="standard deviations of closures, in place of the information that files state",
+    )
+    calibrate.add_argument(
+        "--confidence",
+        type=float,
+        metavar="P",
+        default=0.99,
+        help="probability that two right closures pass the gate (default: %(default)s)",
+    )
+    calibrate.add_argument(
+        "--output", type=Path, metavar="FILE", help="write the rescaled graph, as g2o"
+    )
+    calibrate.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="write a picture of residuals against what they should be",
+    )
+    calibrate.add_argument("--json", action="store_true", help="print JSON instead of text")
+    _seed(calibrate, "of simulated errors (default: 0)")
+    _reading(calibrate)
 
 
 def _simulate(commands: Any) -> None:
@@ -295,6 +311,13 @@ def _seconds(text: str) -> float:
     return seconds
 
 
+def _positive(text: str) -> float:
+    number = float(text)
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} given, expected a number above 0")
+    return number
+
+
 def _files(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "files",
@@ -334,6 +357,12 @@ def _reading(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--skip-bad", action="store_true", help="leave out candidates that cannot be read"
+    )
+    command.add_argument(
+        "--byte-limit",
+        type=int,
+        metavar="BYTES",
+        help="bytes that one file may have after decompression (default: 1 GiB)",
     )
     command.add_argument(
         "--ignore-priors", action="store_true", help="leave out poses measured by themselves"

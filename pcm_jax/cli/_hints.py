@@ -90,7 +90,7 @@ def square_root(
 def _own(graph: MultiRobotGraph, clean: bool) -> Sequence[PoseGraph]:
     if not clean:
         return graph.maps
-    from pcm_jax.selection import clean_maps
+    from pcm_jax.pipeline import clean_maps
 
     return clean_maps(graph)[0].maps
 

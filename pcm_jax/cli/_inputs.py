@@ -49,6 +49,7 @@ def read(options: Any, *, repair: str | None = None) -> Given:
         ids=options.ids,
         default_sigmas=options.default_sigmas,
         components=options.split in (COMPONENTS, [COMPONENTS]),
+        **({} if options.byte_limit is None else {"byte_limit": options.byte_limit}),
     )
     graph, account = read_with_account(
         list(map(str, options.files)),

@@ -22,6 +22,8 @@ def summary(report: dict[str, Any]) -> str:
     parts = [_robots(report), _pairs(report["robot_pairs"]), fit]
     if report.get("input", {}).get("cuts"):
         parts.insert(0, "\n".join(report["input"]["cuts"]))
+    if report.get("calibration"):
+        parts.append("\n".join(report["calibration"]["advice"]))
     if "cleaned" in report:
         parts.insert(0, _maps(report["cleaned"]))
     if not any(pair["accepted"] for pair in report["robot_pairs"]):
@@ -32,7 +34,13 @@ def summary(report: dict[str, Any]) -> str:
 
 def _maps(cleaned: list[dict[str, Any]]) -> str:
     rows = [[row["robot"], row["measured"], row["accepted"], _optimal(row)] for row in cleaned]
-    return columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
+    table = columns_of_text(["inside robot", "measured", "accepted", "largest set"], rows)
+    return "\n".join([table, *(f"{row['robot']}: {row['why']}" for row in cleaned if _odd(row))])
+
+
+def _odd(row: dict[str, Any]) -> bool:
+    """True for a map that was not judged as its file says, or accepts nothing of what it has."""
+    return row["odometry_scale"] != 1.0 or (row["measured"] > 0 and row["accepted"] == 0)
 
 
 def _robots(report: dict[str, Any]) -> str:

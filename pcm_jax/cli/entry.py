@@ -1,52 +1,78 @@
-"""`main`: runs one command, and turns what the library raises and warns into lines of text."""
+"""`run`: runs one command, and turns what the library raises and warns into lines of text."""
 
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 from pcm_jax.cli._arguments import parser
 from pcm_jax.cli._cache import keep_compiled
+from pcm_jax.cli._interrupts import Interrupts
 from pcm_jax.errors import InputError, InputWarning
 
 BAD_INPUT = 2
-INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line and returns its exit status.
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command; see `pcm_jax.cli.main`.
 
-    Args:
-        arguments: without the program's name; by default those of the process.
-
-    Returns:
-        0; 2 for bad input, with one line on standard error; 130 if interrupted.
+    Raises:
+        KeyboardInterrupt: if one came.
     """
+    with _any_text(), Interrupts():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     keep_compiled()
-    command = importlib.import_module(f"pcm_jax.cli.{options.command}")
     try:
+        command = importlib.import_module(f"pcm_jax.cli.{options.command}")
         with _warnings_as_lines():
             command.run(options)
     except InputError as error:
-        return _failed(str(error))
+        return _told(f"error: {error}", BAD_INPUT)
     except BrokenPipeError:  # the reader of our output (head, less) has seen enough
         sys.stdout = None
         return 0
     except OSError as error:
-        return _failed(f"{error.filename}: {error.strerror}" if error.filename else str(error))
-    except KeyboardInterrupt:
-        return INTERRUPTED
+        problem = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        return _told(f"error: {problem}", BAD_INPUT)
     return 0
 
 
-def _failed(problem: str) -> int:
-    print(f"error: {problem}", file=sys.stderr)
-    return BAD_INPUT
+def _told(line: str, status: int) -> int:
+    print(line.replace("\n", "\\n"), file=sys.stderr)
+    return status
+
+
+@contextmanager
+def _any_text() -> Iterator[None]:
+    """A scope in which standard output and error take whatever is printed.
+
+    What their encoding lacks is written as an escape; where they are closed, nothing is.
+    """
+    found = sys.stdout, sys.stderr
+    with ExitStack() as nowhere:
+        for name in ("stdout", "stderr"):
+            stream: Any = getattr(sys, name)
+            if stream is None:
+                stream = nowhere.enter_context(Path(os.devnull).open("w"))
+                setattr(sys, name, stream)
+            elif hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="backslashreplace")
+        try:
+            yield
+        finally:
+            for name, stream in zip(("stdout", "stderr"), found, strict=True):
+                if stream is None:
+                    setattr(sys, name, None)
 
 
 @contextmanager

@@ -13,7 +13,9 @@ from pcm_jax.cli._hints import square_root
 from pcm_jax.cli._inputs import Given, read
 from pcm_jax.cli._outputs import json_text
 from pcm_jax.cli._progress import Progress
+from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, symbols
+from pcm_jax.graph.unsaid import rank_deficient
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.tables import columns_of_text
 
@@ -24,7 +26,7 @@ HEAD = ("robot", "poses", "ids", "edges", "odometry", "loops", "length (m)", "ex
 def run(options: Any) -> None:
     """Prints how files were read, robots, closures, connectivity, and the odd things found."""
     with Progress("reading") as progress, warnings.catch_warnings(record=True) as corrections:
-        given = read(options, repair="clip")  # so that it can be said how many need it
+        given = _read(options)
         progress("looking for what is odd")
         graph, account = given.graph, given.account
         odd = [str(correction.message) for correction in corrections]
@@ -43,6 +45,14 @@ def run(options: Any) -> None:
     print("\n\n".join(parts))
     for finding in odd:
         print(f"- {finding}")
+
+
+def _read(options: Any) -> Given:
+    """Reads files; information that is refused is clipped, to say how many need it."""
+    try:
+        return read(options)
+    except InputError:
+        return read(options, repair="clip")
 
 
 def _as_dict(given: Given, odd: list[str]) -> dict[str, Any]:
@@ -154,6 +164,7 @@ def _odd_edges(one: PoseGraph) -> Iterator[str]:
 def _odd_information(information: Any) -> Iterator[str]:
     """Matrices that all but lack an inverse, after scaling to a diagonal of ones."""
     matrices = np.asarray(information)
+    matrices = matrices[~rank_deficient(matrices)]
     if not len(matrices):
         return
     scale = 1.0 / np.sqrt(np.diagonal(matrices, axis1=1, axis2=2))

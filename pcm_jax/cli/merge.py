@@ -57,11 +57,25 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     seconds = {"read": time.perf_counter() - start}
     result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
     report = {**result.report(), **cleaned, "input": given.as_dict()}
+    report["calibration"] = _calibration(options, given.graph, result, progress)
     report["hints"] = [
         *_mistakes(result, progress),
         *_hints(options, given.graph, report, progress),
     ]
     return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
+
+
+def _calibration(
+    options: Any, graph: Any, result: Any, progress: Progress
+) -> dict[str, Any] | None:
+    """The factors on stated information by the closures that were accepted, where asked for."""
+    if not options.calibrate:
+        return None
+    from pcm_jax.pipeline import calibrate
+
+    progress("calibrating")
+    accepted = None if result.selection is not None else result.accepted
+    return calibrate(graph, accepted).as_dict()
 
 
 def _merge(
@@ -141,9 +155,14 @@ def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:
 
 def _cleaned(graph: Any, options: Any) -> tuple[Any, list[dict[str, Any]]]:
     """The graph without the closures inside its maps that PCM rejects, and the report's rows."""
-    from pcm_jax.selection import clean_maps
+    from pcm_jax.pipeline import clean_maps
 
-    given = {"confidence": options.confidence, "time_limit": options.time_limit}
+    given = {
+        "confidence": options.confidence,
+        "time_limit": options.time_limit,
+        "significance": options.significance,
+        "seed": options.seed,
+    }
     limits = {name: value for name, value in given.items() if value is not None}
     clean, selections = clean_maps(graph, **limits)
     return clean, list(map(_cleaned_row, graph.maps, selections))
@@ -159,6 +178,7 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
         "accepted": closures - len(rejected),
         "optimal": selection is None or selection.optimal,
         "upper_bound": 0 if selection is None else selection.upper_bound,
+        **_judged(selection),
         "rejected": [
             {
                 "a": pose_graph.pose_name(int(pose_graph.tail[edge])),
@@ -167,6 +187,20 @@ def _cleaned_row(pose_graph: Any, selection: Any) -> dict[str, Any]:
             }
             for edge in rejected
         ],
+    }
+
+
+def _judged(selection: Any) -> dict[str, Any]:
+    """The fields of a cleaned map's row that say why its closures are believed."""
+    if selection is None:
+        return {"odometry_scale": 1.0, "found": 0, "places": 0, "chance": None, "why": None}
+    verdict = selection.verdict
+    return {
+        "odometry_scale": selection.odometry_scale,
+        "found": verdict.found,
+        "places": verdict.places,
+        "chance": verdict.chance.p_value if verdict.chance else None,
+        "why": verdict.why,
     }
 
 

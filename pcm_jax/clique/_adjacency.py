@@ -9,6 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
+from pcm_jax.arrays import as_array
 from pcm_jax.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def adjacency_matrix(
     """
     if not isinstance(graph, np.ndarray | jax.Array) and hasattr(graph, "adjacency"):
         return _of_networkx(graph)
-    values = np.asarray(graph)
+    values = as_array(graph, "graph")
     if values.size == 0 and values.ndim < 3:
         values = values.reshape(0, 0)
     if values.ndim != 2 or values.shape[0] != values.shape[1]:

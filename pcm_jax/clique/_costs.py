@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pcm_jax.arrays import as_real
 from pcm_jax.errors import InputError
 
 # Rows looked at between two readings of the clock; tiles compared with their transposes.
@@ -27,7 +28,7 @@ def checked_squared(
     Raises:
         InputError: another shape, or an entry on an edge that is not finite or too small.
     """
-    squared = np.asarray(tie_break, dtype=np.float64)
+    squared = as_real(tie_break, "tie_break")
     if squared.shape != adjacency.shape:
         raise InputError(
             f"tie_break: shape {squared.shape}, expected that of the graph, {adjacency.shape}"

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int, Num
 
+from pcm_jax.arrays import as_array
 from pcm_jax.errors import InputError
 
 _DIGITS = 10**12
@@ -93,7 +94,7 @@ def checked_weights(weights: Num[np.ndarray, " m"] | Num[Array, " m"], size: int
     Raises:
         InputError: another shape, not real numbers, negative, not finite, or an infinite sum.
     """
-    given = np.asarray(weights)
+    given = as_array(weights, "weights")
     if given.shape != (size,):
         raise InputError(f"weights: shape {given.shape}, expected one a node, ({size},)")
     if size and given.dtype.kind not in "iuf":

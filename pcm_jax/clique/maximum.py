@@ -18,7 +18,7 @@ from pcm_jax.clique._local_search import improved_clique
 from pcm_jax.clique._ties import smallest_by_index, smallest_by_total
 from pcm_jax.clique._weights import checked_weights
 from pcm_jax.clique.result import Clique
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 
 if TYPE_CHECKING:
     import networkx
@@ -67,7 +67,7 @@ def maximum_clique(
     """
     start = perf_counter()
     deadline = start + _checked_limit(time_limit)
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"method: {method!r}, expected one of {', '.join(METHODS)}")
     if tie_break is not None and method != "exact":
         raise InputError(f"tie_break: given with method {method!r}, expected method 'exact'")
@@ -155,7 +155,8 @@ def _cheap_bound(graph: BitGraph, candidates: int) -> int:
 def _checked_limit(time_limit: float | None) -> float:
     if time_limit is None:
         return np.inf
-    if not time_limit >= 0:
+    check_number("time_limit", time_limit)
+    if time_limit < 0:
         raise InputError(f"time_limit: {time_limit}, expected seconds, at least 0")
     return float(time_limit)
 

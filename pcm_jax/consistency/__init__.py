@@ -8,12 +8,14 @@ agree, step iii, is the largest clique of the graph of agreeing pairs.
 _relative           G, the covariance of the differences of poses' errors, in one map
 problem             `consistency_problem`: what Q needs of two maps and the closures between them
 within              the same for the closures inside one robot's own map
+_limit              q² of closures that leave directions unsaid
 definition          the loop error (eq. 4) by automatic differentiation: the specification
 _closed_form        the same number without a Jacobian, for all pairs in one vectorised loop
 mahalanobis         `squared_mahalanobis`: either of the two, compiled
 _single_precision   what float32 would change
 gate                `chi2_gate`: how large a squared distance two right closures may have
 graph               `consistency_graph`: an edge where a pair passes in both directions
+packed              `PackedGraph`: a graph of one bit a pair
 streaming           all of it for tens of thousands of closures, panel by panel, straight to bits
 shuffled            the pairs that agree once measurements are shuffled: what chance does
 evidence            `Evidence`: what every pair of robots' closures say of each other
@@ -32,11 +34,13 @@ from pcm_jax.consistency.joint import (
     joint_consistency,
 )
 from pcm_jax.consistency.mahalanobis import (
+    freedom_of,
     squared_mahalanobis,
-    squared_on_host,
     squared_own_loops,
     squared_rows,
+    weighed_on_host,
 )
+from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import (
     ConsistencyProblem,
     consistency_problem,
@@ -44,11 +48,18 @@ from pcm_jax.consistency.problem import (
 )
 from pcm_jax.consistency.shuffled import ConsistentPairs
 from pcm_jax.consistency.streaming import (
-    PackedGraph,
     stream_consistency_graph,
     stream_from_covariances,
 )
-from pcm_jax.consistency.within import WithinProblem, odometry_edges, within_problem
+from pcm_jax.consistency.within import (
+    OwnLoops,
+    WithinProblem,
+    odometry_edges,
+    own_loops,
+    reordered,
+    with_odometry_errors,
+    within_problem,
+)
 
 __all__ = [
     "AlignmentDifference",
@@ -56,6 +67,7 @@ __all__ = [
     "ConsistentPairs",
     "Evidence",
     "JointConsistency",
+    "OwnLoops",
     "PackedGraph",
     "PairEvidence",
     "WithinProblem",
@@ -63,17 +75,21 @@ __all__ = [
     "chi2_gate",
     "consistency_graph",
     "consistency_problem",
+    "freedom_of",
     "joint_consistency",
     "loop_error",
     "odometry_edges",
+    "own_loops",
     "problem_from_covariances",
+    "reordered",
     "squared_mahalanobis",
     "squared_mahalanobis_of",
-    "squared_on_host",
     "squared_own_loops",
     "squared_rows",
     "stream_consistency_graph",
     "stream_from_covariances",
     "to_networkx",
+    "weighed_on_host",
+    "with_odometry_errors",
     "within_problem",
 ]

@@ -43,17 +43,22 @@ from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import namespace
+from pcm_jax.consistency._limit import Limit, carried, columns_of, limit
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.lie import unrolled
 
 # Rows and columns of a tile of pairs: what a tile reads (two maps' G) then stays in a core's cache.
 TILE = 64
-CHUNK = 4096  # pairs that NumPy weighs together, for the same reason
+PAIRS_AT_ONCE = 4096
+"""Pairs that NumPy weighs together: what they take stays in a core's cache."""
 
 
-def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Array, "m m"]:
-    """q² of all ordered pairs; padding is computed like anything else."""
+def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Any:
+    """q² of all ordered pairs; padding is computed like anything else.
+
+    A `Limit` of `[m, m]` where closures leave directions unsaid.
+    """
     placed, noise = per_closure(problem)
     count = problem.valid.shape[0]
     blocks, size = _blocks(count)
@@ -66,10 +71,15 @@ def closed_form_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Arr
     # One triangle of tiles. Their inputs are kept for the backward pass, not what is in between.
     rows, columns = np.triu_indices(blocks)
     forward, backward = jax.lax.map(jax.checkpoint(tile), (rows, columns))
-    grid = jnp.zeros((blocks, blocks, size, size), forward.dtype)
-    grid = grid.at[columns, rows].set(jnp.swapaxes(backward, 1, 2)).at[rows, columns].set(forward)
-    squared = jnp.swapaxes(grid, 1, 2).reshape(blocks * size, blocks * size)[:count, :count]
-    return jnp.where(jnp.eye(count, dtype=bool), 0.0, squared)
+
+    def square(forward: Any, backward: Any) -> Any:
+        grid = jnp.zeros((blocks, blocks, size, size), forward.dtype)
+        grid = grid.at[columns, rows].set(jnp.swapaxes(backward, 1, 2))
+        grid = grid.at[rows, columns].set(forward)
+        table = jnp.swapaxes(grid, 1, 2).reshape(blocks * size, blocks * size)[:count, :count]
+        return jnp.where(jnp.eye(count, dtype=bool), 0.0, table)
+
+    return jax.tree.map(square, forward, backward)
 
 
 def closed_form_rows(
@@ -134,6 +144,29 @@ def per_closure(closures: Any) -> tuple[Any, Any]:
     return xp.stack(placed), xp.stack(noise)
 
 
+def limits_on_host(problem: ConsistencyProblem) -> Limit:
+    """q² and degrees of freedom of all ordered pairs, on NumPy: nothing is compiled.
+
+    Args:
+        problem: NumPy arrays; closures that leave directions unsaid.
+    """
+    (placed, noise), free = per_closure(problem), carried(problem)
+    module, count = lie.module_of(lie.group_of(problem.measurement)), placed.shape[1]
+    squared, freedom = np.zeros((count, count)), np.zeros((count, count))
+    height = max(1, PAIRS_AT_ONCE // count)
+    for start in range(0, count, height):
+        u, v = np.arange(start, min(start + height, count))[:, None], np.arange(count)[None]
+        t_u, t_v = (tuple(entry[k] for entry in placed) for k in (u, v))
+        side_a = problem.relative_covariance_a[:, problem.row_a[u], problem.row_a[v]]
+        side_b = tuple(problem.relative_covariance_b[:, problem.row_b[u], problem.row_b[v]])
+        fixed = tuple(a + z[u] + z[v] for a, z in zip(side_a, noise, strict=True))
+        columns = columns_of(free, lambda n, u=u: n[:, :, u], lambda n, v=v: n[:, :, v])
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            found = squared_one_way(module, t_u, t_v, t_v, fixed, side_b, columns)
+        squared[u, v], freedom[u, v] = found
+    return Limit(squared, freedom)
+
+
 def _tile(
     problem: ConsistencyProblem | WithinProblem, placed: Any, noise: Any, u: Any, v: Any
 ) -> tuple[Any, Any]:
@@ -143,13 +176,18 @@ def _tile(
     else:
         sides = (*_two_maps(problem, u, v), None)
     module = lie.module_of(lie.group_of(problem.measurement))
-    return weigh(module, placed, noise, (u, v), sides)
+    return weigh(module, placed, noise, (u, v), sides, carried(problem))
 
 
 def weigh(
-    module: ModuleType, placed: Any, noise: Any, tile: tuple[Any, Any], sides: tuple[Any, Any, Any]
+    module: ModuleType,
+    placed: Any,
+    noise: Any,
+    tile: tuple[Any, Any],
+    sides: tuple[Any, Any, Any],
+    free: Float[Array, "f d m"] | None = None,
 ) -> tuple[Any, Any]:
-    """q²_uv and q²_vu of a tile.
+    """q²_uv and q²_vu of a tile; with `free` a `Limit` of each.
 
     Args:
         module: of the group.
@@ -157,6 +195,7 @@ def weigh(
         tile: int `[r]` and `[c]`, the closures u (rows) and v (columns).
         sides: Ga_ij and Gb_kl, packed, each a leading axis or a tuple of `[r, c]`, and None;
             within one map A, B and (s, O).
+        free: of `carried`.
     """
     u, v = tile
     side_a, side_b, both_sides = sides
@@ -164,11 +203,15 @@ def weigh(
     t_v = tuple(component[v][None, :] for component in placed)
     error = _error(module, t_u, t_v)
     fixed = tuple(a + (z[u][:, None] + z[v][None, :]) for a, z in zip(side_a, noise, strict=True))
+    if free is not None:
+        columns = columns_of(free, lambda n: n[:, :, u, None], lambda n: n[:, :, None, v])
+        first, second = (_total(module, t, fixed, side_b, both_sides) for t in (t_v, t_u))
+        return limit(first, error, columns), limit(second, error, columns)
     return tuple(_weighted_square(module, t, error, fixed, side_b, both_sides) for t in (t_v, t_u))
 
 
 def squared_one_way(
-    module: ModuleType, t_u: Any, t_v: Any, at: Any, fixed: Any, side_b: Any
+    module: ModuleType, t_u: Any, t_v: Any, at: Any, fixed: Any, side_b: Any, free: Any = None
 ) -> Any:
     """One direction's q² of pairs between two maps, on NumPy arrays as on JAX's.
 
@@ -179,8 +222,11 @@ def squared_one_way(
         at: the one of them whose adjoint turns map b's share: T_v for q²_uv, T_u for q²_vu.
         fixed: Ga_ij + Z_u + Z_v, packed.
         side_b: Gb_kl, packed.
+        free: columns of N, see `columns_of`; with them a `Limit` is returned.
     """
     error = module.log(module.compose(t_v, module.inverse(t_u)))
+    if free is not None:
+        return limit(_total(module, at, fixed, side_b, None), error, free)
     return unrolled.inverse_quadratic_form(_total(module, at, fixed, side_b, None), error)
 
 
@@ -198,8 +244,8 @@ def squared_in_numpy(problem: ConsistencyProblem) -> Float[np.ndarray, "k k"]:
     covariances = problem.relative_covariance_a, problem.relative_covariance_b
     sides = [(np.asarray(each), row) for each, row in zip(covariances, rows, strict=True)]
     first, second = np.triu_indices(count, 1)
-    for start in range(0, len(first), CHUNK):
-        u, v = first[start : start + CHUNK], second[start : start + CHUNK]
+    for start in range(0, len(first), PAIRS_AT_ONCE):
+        u, v = first[start : start + PAIRS_AT_ONCE], second[start : start + PAIRS_AT_ONCE]
         side_a, side_b = (each[:, row[u], row[v]] for each, row in sides)
         fixed = tuple(side_a + noise[:, u] + noise[:, v])
         t_u, t_v = tuple(placed[:, u]), tuple(placed[:, v])

@@ -23,6 +23,7 @@ import jaxlie
 from jaxtyping import Array, Float
 
 from pcm_jax import lie
+from pcm_jax.consistency._limit import DIFFERENT, Limit
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError
@@ -45,8 +46,11 @@ def loop_error(z_u: Any, x_ij: Any, z_v: Any, x_lk: Any) -> Float[Array, " d"]:
 
 
 def squared_error(
-    residual: Callable[..., Any], arguments: Sequence[Any], covariances: Sequence[Any]
-) -> Float[Array, ""]:
+    residual: Callable[..., Any],
+    arguments: Sequence[Any],
+    covariances: Sequence[Any],
+    free: Float[Array, "n f"] | None = None,
+) -> Any:
     """εᵀ Σ⁻¹ ε of ε = residual(*arguments), Σ propagated to first order.
 
     Args:
@@ -54,6 +58,10 @@ def squared_error(
         arguments: pytrees with independent errors. Lie leaves are perturbed on the right, arrays
             by addition.
         covariances: `[n, n]` for each argument, over its leaves' perturbations in order.
+        free: directions of all arguments' perturbations along which the covariance has no bound.
+
+    Returns:
+        The number; with `free` a `Limit`, of which see `consistency._limit`.
     """
     sizes = [covariance.shape[-1] for covariance in covariances]
     splits = list(itertools.accumulate(sizes))[:-1]
@@ -68,8 +76,23 @@ def squared_error(
     jacobian = jax.jacfwd(perturbed)(jnp.zeros(sum(sizes), error.dtype))
     carried = jnp.stack([given @ row for row in jacobian])
     covariance = jnp.stack([carried @ row for row in jacobian])
+    if free is not None:
+        return _limit(error, covariance, jnp.stack([row @ free for row in jacobian]))
     factor = jax.scipy.linalg.cho_factor(covariance, lower=True)
     return error @ jax.scipy.linalg.cho_solve(factor, error)
+
+
+def _limit(error: Any, covariance: Any, free: Any) -> Limit:
+    """The limit of q² by the singular values of the whitened free directions."""
+    lower = jnp.linalg.cholesky(covariance)
+    white = jax.scipy.linalg.solve_triangular(lower, jnp.column_stack([error, free]), lower=True)
+    length = jnp.linalg.norm(white[:, 1:], axis=0)
+    units = white[:, 1:] / jnp.where(length > 0.0, length, 1.0)
+    basis, values, _ = jnp.linalg.svd(units, full_matrices=False)
+    new = values > DIFFERENT
+    along = jnp.where(new, basis.T @ white[:, 0], 0.0)
+    freedom = jnp.asarray(len(error) - new.sum(), error.dtype)
+    return Limit(white[:, 0] @ white[:, 0] - along @ along, freedom)
 
 
 def _is_lie(node: Any) -> bool:
@@ -91,8 +114,11 @@ def _retract(tree: Any, delta: Float[Array, " n"]) -> Any:
     return jax.tree.unflatten(structure, moved)
 
 
-def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Float[Array, "m m"]:
-    """`pair(u, v)` for all indices below `count`, vmapped, a batch at a time; diagonal zero."""
+def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Any:
+    """`pair(u, v)` for all indices below `count`, vmapped, a batch at a time; diagonal zero.
+
+    A pytree of `[m, m]`, as `pair` returns one of numbers.
+    """
     if count == 0:
         return jnp.zeros((0, 0))
     pairs = count * count
@@ -101,12 +127,19 @@ def all_pairs(pair: Callable[[Any, Any], Any], count: int) -> Float[Array, "m m"
     pair_index = jnp.minimum(jnp.arange(batches * -(-pairs // batches)), pairs - 1)
     batch = jax.vmap(lambda index: pair(index // count, index % count))
     values = jax.lax.map(batch, pair_index.reshape(batches, -1))
-    squared = values.reshape(-1)[:pairs].reshape(count, count)
-    return jnp.where(jnp.eye(count, dtype=bool), 0.0, squared)
+
+    def square(of_pairs: Any) -> Any:
+        table = of_pairs.reshape(-1)[:pairs].reshape(count, count)
+        return jnp.where(jnp.eye(count, dtype=bool), 0.0, table)
+
+    return jax.tree.map(square, values)
 
 
-def jacfwd_kernel(problem: ConsistencyProblem | WithinProblem) -> Float[Array, "m m"]:
-    """q² of all ordered pairs by the definition; padding is computed like anything else."""
+def jacfwd_kernel(problem: ConsistencyProblem | WithinProblem) -> Any:
+    """q² of all ordered pairs by the definition; padding is computed like anything else.
+
+    A `Limit` of `[m, m]` where closures leave directions unsaid.
+    """
     pair = _pair_within if isinstance(problem, WithinProblem) else _pair_between
     return all_pairs(functools.partial(pair, problem), problem.valid.shape[0])
 
@@ -130,7 +163,11 @@ def _pair_between(problem: ConsistencyProblem, u: Any, v: Any) -> Any:
         relative_covariance(problem.relative_covariance_b, problem.row_b, v, u, y_k),
     )
     arguments = (z_u, lie.between(x_i, x_j), z_v, lie.between(y_l, y_k))
-    return squared_error(loop_error, arguments, covariances)
+    if problem.free is None:
+        return squared_error(loop_error, arguments, covariances)
+    none = jnp.zeros_like(problem.free[u])
+    rows = [[problem.free[u], none], [none, none], [none, problem.free[v]], [none, none]]
+    return squared_error(loop_error, arguments, covariances, jnp.block(rows))
 
 
 def _pair_within(problem: WithinProblem, u: Any, v: Any) -> Any:

@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pcm_jax.arrays import as_array
+from pcm_jax.consistency._limit import comparable
 from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import ConsistencyProblem, problem_from_covariances
 from pcm_jax.consistency.shuffled import ShuffledByMetric, ShuffledClosures
-from pcm_jax.consistency.streaming import PackedGraph
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
@@ -46,6 +48,7 @@ class PairEvidence:
     measured: LoopClosures | None = None
     covariances: tuple[MapCovariance, MapCovariance] | None = None
     _squared: Float[np.ndarray, "k k"] | None = None
+    _freedom: Int[np.ndarray, "k k"] | None = None
     _stream: Callable[[float], PackedGraph] | None = None
     _metric: Callable[[LoopClosures], Float[np.ndarray, "k k"]] | None = None
     _kept: OrderedDict[float, PackedGraph] = field(default_factory=OrderedDict)
@@ -61,7 +64,8 @@ class PairEvidence:
         Raises:
             InputError: unless it is a square matrix of numbers.
         """
-        return cls(0, 1, np.arange(len(squared)), _squared=checked_squared(squared))
+        checked = checked_squared(squared)
+        return cls(0, 1, np.arange(len(checked)), _squared=checked)
 
     def __len__(self) -> int:
         return len(self.closures)
@@ -92,6 +96,25 @@ class PairEvidence:
                 f"and {self.robot_b}, expected a larger memory_limit for them"
             )
         return self._squared
+
+    @property
+    def freedom(self) -> Int[np.ndarray, "k k"] | None:
+        """Degrees of freedom of each pair's q²; None where all have d (see `freedom_of`)."""
+        return self._freedom
+
+    @property
+    def comparable(self) -> Float[np.ndarray, "k k"]:
+        """Squared distances for one gate: of pairs with fewer than d degrees of freedom, as likely.
+
+        `squared` itself where every pair has d. A pair of n degrees has the χ²_d that is exceeded
+        as rarely as its q² is by χ²_n; one of none is infinite.
+
+        Raises:
+            InputError: as `squared`.
+        """
+        if self._freedom is None or self.measured is None:
+            return self.squared
+        return comparable(self.squared, self._freedom, self.measured.tangent_dim)
 
     def problem(self) -> ConsistencyProblem:
         """Gathers the input of Q anew: Mahalanobis evidence does not keep what is easily rebuilt.
@@ -135,7 +158,7 @@ class PairEvidence:
     def packed(self, gate: float) -> PackedGraph:
         """The consistency graph, one bit a pair; a streamed one is kept for the last gates."""
         if self._squared is not None:
-            dense = np.asarray(consistency_graph(self._squared, gate))  # type: ignore[arg-type]
+            dense = self.consistent(gate)
             return PackedGraph(np.packbits(dense, axis=1), len(dense))
         with self._lock:
             if gate not in self._kept:
@@ -145,7 +168,7 @@ class PairEvidence:
             return self._kept[gate]
 
     def consistent(self, gate: float) -> Bool[np.ndarray, "k k"]:
-        """The consistency graph, k² bytes.
+        """The consistency graph, k² bytes; pairs of fewer than d degrees have gates of their own.
 
         A streamed pair weighs its closures anew for a gate that was not among the last two.
 
@@ -154,7 +177,7 @@ class PairEvidence:
         """
         if self._squared is None:
             return self.packed(gate).dense()
-        return np.asarray(consistency_graph(self._squared, gate))  # type: ignore[arg-type]
+        return np.asarray(consistency_graph(self.comparable, gate))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -203,7 +226,7 @@ def checked_squared(squared: Any, what: str = "squared") -> Float[np.ndarray, "k
     Raises:
         InputError: unless it is square, and of numbers.
     """
-    distances = np.asarray(squared)
+    distances = as_array(squared, what)
     if distances.ndim != 2 or distances.shape[0] != distances.shape[1]:
         raise InputError(f"{what}: shape {distances.shape}, expected [m, m]")
     if distances.dtype.kind not in "iuf":

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jax.scipy.special import gammainc, gammaincc, gammaln, ndtri
 from jaxtyping import Array, Float
 
-from pcm_jax.arrays import standard_rules
+from pcm_jax.arrays import as_real, standard_rules
 from pcm_jax.errors import InputError
 
 ITERATIONS = 12
@@ -39,11 +39,11 @@ def chi2_gate(confidence: Any, dof: Any) -> Float[Array, "*batch"]:
     """
     if isinstance(confidence, Tracer) or isinstance(dof, Tracer):
         return _quantile(jnp.asarray(confidence), jnp.asarray(dof))
-    confidence, dof = np.asarray(confidence, np.float64), np.asarray(dof, np.float64)
+    confidence, dof = as_real(confidence, "confidence"), as_real(dof, "dof")
     if not ((confidence > 0.0) & (confidence < 1.0)).all():
         raise InputError(f"confidence: {confidence}; expected a probability between 0 and 1")
-    if not (dof >= 1.0).all():
-        raise InputError(f"dof: {dof}; expected at least one degree of freedom")
+    if not ((dof >= 1.0) & np.isfinite(dof)).all():
+        raise InputError(f"dof: {dof}; expected at least one degree of freedom, and finitely many")
     from scipy.special import gammaincinv
 
     return 2.0 * gammaincinv(0.5 * dof, confidence)

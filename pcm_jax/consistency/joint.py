@@ -17,11 +17,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import on_host
+from pcm_jax.arrays import as_array, on_host
 from pcm_jax.consistency.evidence import PairEvidence
 from pcm_jax.consistency.stacked import StackedClosures, drops, fitted, stack_closures
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class
 
+UNKNOWN = 1e6
+"""Variance of what no closure says anything of, m² or rad²: as good as none is known."""
 LIMIT = 400
 """Closures that a test takes; of more, this many, evenly spaced: (400·6)² numbers are 46 MB."""
 
@@ -32,11 +34,11 @@ class JointConsistency:
 
     Attributes:
         chi2: χ² of the k closures about their common alignment, paper's eq. 4 for k = 2.
-        dof: degrees of freedom, (k − 1) d.
+        dof: degrees of freedom, (k − 1) d; fewer where closures leave directions unsaid.
         p: probability that k right closures have a χ² at least as large; 1 for a single one.
         alignment: Lie, NumPy: the pose of map b's own frame in map a's, T_ab.
         covariance: `[d, d]` of δ in `T_ab exp(δ)`, each map held at its first pose; m², m rad,
-            rad².
+            rad². What no closure says anything of has a variance of 1e6.
         closures: int64 `[k]`, those that were tested, as indices among the pair's closures.
         contributions: `[k]`, by how much χ² falls if this closure alone is left out.
         asked: how many closures the test was asked for: more than k where the set was thinned.
@@ -125,15 +127,14 @@ def joint_consistency(evidence: PairEvidence, accepted: Any = None) -> JointCons
     projection = fit.projection()
     pull = np.einsum("adbe,be->ad", projection, fit.error.reshape(-1, stacked.dim))
     alignment, covariance = _in_own_frames(evidence, stacked, fit.alignment)
-    dof = (len(tested) - 1) * stacked.dim
     return JointConsistency(
         chi2=fit.squared,
-        dof=dof,
-        p=survival(fit.squared, dof),
+        dof=fit.freedom,
+        p=survival(fit.squared, fit.freedom),
         alignment=alignment,
         covariance=covariance,
         closures=tested,
-        contributions=drops(projection, pull),
+        contributions=drops(projection, pull, stacked.free is not None),
         asked=len(rows),
     )
 
@@ -156,7 +157,7 @@ def alignment_difference(evidence: PairEvidence, first: Any, second: Any) -> Ali
             evenly, in proportion.
 
     Raises:
-        InputError: as `joint_consistency`, and for a closure in both sets.
+        InputError: as `joint_consistency`, for a closure in both sets, for singular information.
     """
     sets = [chosen_rows(evidence, first, "first"), chosen_rows(evidence, second, "second")]
     shared = np.intersect1d(sets[0], sets[1])
@@ -167,6 +168,7 @@ def alignment_difference(evidence: PairEvidence, first: Any, second: Any) -> Ali
     sets = [thinned(rows, max(1, int(share * len(rows)))) for rows in sets]
     rows = np.concatenate(sets)
     stacked, group = stack_closures(evidence, rows), np.repeat([0, 1], [len(rows) for rows in sets])
+    stacked.check_all_said("alignment_difference")
     own = [stacked.take(np.flatnonzero(group == k)).fit().alignment for k in (0, 1)]
     found = [_difference(stacked, group, own, about) for about in own]
     chi2, difference = max(found, key=lambda one: one[0])
@@ -228,8 +230,9 @@ def chosen_rows(evidence: PairEvidence, chosen: Any, argument: str) -> Int[np.nd
     Raises:
         InputError: for no closure, another length or dtype, an index out of range or given twice.
     """
+    check_class("evidence", evidence, "the PairEvidence of two robots", PairEvidence)
     count = len(evidence)
-    given = np.arange(count) if chosen is None else np.asarray(chosen)
+    given = np.arange(count) if chosen is None else as_array(chosen, argument)
     if given.dtype == bool:
         if given.shape != (count,):
             raise InputError(f"{argument}: shape {given.shape}, expected ({count},), one a closure")
@@ -263,13 +266,18 @@ def _in_own_frames(
     `T_ab = t_a exp(w) W t_b⁻¹` with t the maps' origins: a step exp(w) on the left of W is
     Ad(t_b W⁻¹) w on the right of T_ab.
     """
-    held = fitted(stacked.errors(about), stacked.covariance(about, centred=False))
+    turned = stacked.covariance(about, centred=False)
+    held = fitted(stacked.errors(about), turned, free=stacked.free)
+    spread = held.correction_covariance
+    if held.undetermined is not None:
+        basis = np.linalg.qr(held.undetermined)[0]
+        spread = spread + UNKNOWN * basis @ basis.T
     group = lie.group_of(about)
     alignment = lie.compose(lie.exp(group, held.correction[0]), about)
     a, b = (_shift(group, one.origin) for one in evidence.covariances or ())
     back = np.asarray(lie.adjoint(lie.compose(b, lie.inverse(alignment))))
     own = lie.compose(lie.compose(a, alignment), lie.inverse(b))
-    return own, back @ held.correction_covariance @ back.T
+    return own, back @ spread @ back.T
 
 
 def _shift(group: Any, origin: np.ndarray) -> Any:

@@ -21,13 +21,15 @@ from pcm_jax.consistency._closed_form import (
     closed_form_kernel,
     closed_form_new,
     closed_form_rows,
+    limits_on_host,
     own_loop_kernel,
     squared_in_numpy,
 )
+from pcm_jax.consistency._limit import Limit
 from pcm_jax.consistency.definition import jacfwd_kernel
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class
 
 Problem = ConsistencyProblem | WithinProblem
 SECONDS_A_PAIR = {3: 1e-6, 6: 4e-6}
@@ -42,9 +44,20 @@ def _masked(kernel: Callable[[Any], Any]) -> Callable[[Problem], Any]:
     @jax.jit
     def masked(problem: Problem) -> Any:
         harmless, known = _harmless(problem)
-        return _marked(kernel(harmless), known, problem.valid, jnp.arange(len(known)))
+        found = kernel(harmless)
+        squared, freedom = (found, None) if _says_all(problem) else found
+        marked = _marked(squared, known, problem.valid, jnp.arange(len(known)))
+        if freedom is None:
+            return marked
+        d = problem.measurement_covariance.shape[-1]
+        whole = jnp.where(jnp.eye(len(known), dtype=bool), d, freedom)
+        return Limit(marked, jnp.round(whole).astype(np.int32))
 
     return masked
+
+
+def _says_all(problem: Problem) -> bool:
+    return getattr(problem, "free", None) is None
 
 
 @functools.partial(jax.jit, static_argnames="mesh")
@@ -62,18 +75,21 @@ def _by_rows(problem: Problem, mesh: Mesh) -> Float[Array, "n n"]:
     return shared(harmless, known)
 
 
-def _harmless(problem: Problem) -> tuple[Problem, Bool[Array, " m"]]:
+def _harmless(problem: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """The problem with closures that are not finite replaced, and which are finite.
 
     Replaced before, not only marked after: in the derivatives of the other closures what is not
     finite would meet a zero, and NaN times zero is NaN.
     """
     own = {name: getattr(problem, name) for name in _OF_CLOSURES}
-    known = jnp.all(jnp.stack([_finite_rows(leaf) for leaf in jax.tree.leaves(own)]), axis=0)
+    known = xp.all(xp.stack([_finite_rows(leaf, xp) for leaf in jax.tree.leaves(own)]), axis=0)
     d = problem.measurement_covariance.shape[-1]
     harmless = {name: lie.identity(lie.group_of(own[name])) for name in _OF_CLOSURES[1:]}
     harmless["measurement_covariance"] = np.eye(d)
-    return dataclasses.replace(problem, **_where(known, own, harmless)), known
+    if not _says_all(problem):
+        own["free"], harmless["free"] = problem.free, np.zeros(problem.free.shape[1:])  # type: ignore[union-attr]
+        known = known & _finite_rows(own["free"], xp)
+    return dataclasses.replace(problem, **_where(known, own, harmless, xp)), known
 
 
 def _marked(squared: Any, known: Any, valid: Any, rows: Any) -> Float[Array, "r m"]:
@@ -100,15 +116,15 @@ def _padded(problem: Problem, more: int) -> Problem:
 _OF_CLOSURES = ("measurement_covariance", "measurement", "pose_a", "pose_b")
 
 
-def _finite_rows(leaf: Float[Array, "m ..."]) -> Bool[Array, " m"]:
-    return jnp.all(jnp.isfinite(leaf), axis=tuple(range(1, leaf.ndim)))
+def _finite_rows(leaf: Float[Array, "m ..."], xp: Any) -> Bool[Array, " m"]:
+    return xp.all(xp.isfinite(leaf), axis=tuple(range(1, leaf.ndim)))
 
 
-def _where(known: Bool[Array, " m"], tree: Any, otherwise: Any) -> Any:
+def _where(known: Bool[Array, " m"], tree: Any, otherwise: Any, xp: Any) -> Any:
     """The rows of `tree` that are known, and one row for all others."""
 
-    def choose(leaf: Array, row: Array) -> Array:
-        return jnp.where(known.reshape(-1, *(1,) * (leaf.ndim - 1)), leaf, row.astype(leaf.dtype))
+    def choose(leaf: Any, row: Any) -> Any:
+        return xp.where(known.reshape(-1, *(1,) * (leaf.ndim - 1)), leaf, row.astype(leaf.dtype))
 
     return jax.tree.map(choose, tree, otherwise)
 
@@ -129,7 +145,9 @@ def squared_mahalanobis(
         consistent = pcm_jax.consistency_graph(squared, pcm_jax.chi2_gate(0.99, dof=3))
 
     `[u, v]` is q²_uv, not symmetrised; the diagonal is zero. For closures that are both right it
-    follows a chi-squared distribution with d degrees of freedom: see `chi2_gate`.
+    follows a chi-squared distribution with d degrees of freedom: see `chi2_gate`. Where closures
+    leave directions unsaid (`problem.free`) it has fewer, as many as `freedom_of` tells of each
+    pair: there it is the limit of covariances that grow without bound.
 
     Safe under jit, vmap, grad and jvp. The result follows the dtype of the problem, which
     `consistency_problem` and `within_problem` build in float64.
@@ -153,41 +171,97 @@ def squared_mahalanobis(
         order, and m is padded to a multiple of their number.
 
     Raises:
-        InputError: for another kernel, or a mesh with the definition.
+        InputError: for another kernel, or a mesh with the definition or with closures that leave
+            directions unsaid.
     """
-    if kernel not in _KERNELS:
+    check_class("problem", problem, "a problem of closures", ConsistencyProblem, WithinProblem)
+    if not isinstance(kernel, str) or kernel not in _KERNELS:
         raise InputError(f"kernel: {kernel!r}; expected one of {', '.join(map(repr, _KERNELS))}")
-    if mesh is not None and kernel != "closed-form":
+    if mesh is None:
+        return limits_of(problem, kernel=kernel).squared
+    if kernel != "closed-form":
         raise InputError(f"mesh: given with kernel {kernel!r}; expected kernel 'closed-form'")
+    if not _says_all(problem):
+        raise InputError("mesh: given with closures that leave directions unsaid; expected none")
     with lie.own_precision(problem):
-        if mesh is not None:
-            return _by_rows(_on_all(problem, mesh), mesh)
-        squared = _KERNELS[kernel](problem)
-        if isinstance(problem.valid, Tracer):
-            return squared
-        valid = np.flatnonzero(np.asarray(problem.valid))
-        if isinstance(squared, Tracer):
-            return squared[valid[:, None], valid]
-        # Cut by NumPy: an eager JAX gather would be compiled for every number of closures.
-        return device_array(np.asarray(squared)[np.ix_(valid, valid)], squared.dtype)
+        return _by_rows(_on_all(problem, mesh), mesh)
+
+
+def freedom_of(problem: ConsistencyProblem | WithinProblem) -> Int[Array, "m m"]:
+    """Computes the degrees of freedom of every ordered pair's q²: d, or fewer.
+
+    A closure with information of rank r < d leaves d − r directions unsaid, and two closures have
+    in common what neither of them does: for planar closures between maps in space 3 of 6. Pairs of
+    no degree have nothing to compare.
+
+        within = squared <= pcm_jax.chi2_gate(0.99, dof=freedom_of(problem))    # for degrees > 0
+
+    Args:
+        problem: as for `squared_mahalanobis`.
+
+    Returns:
+        int32, of the valid closures as `squared_mahalanobis`; d on the diagonal.
+    """
+    squared, freedom = limits_of(problem)
+    if freedom is not None:
+        return freedom
+    with lie.own_precision(problem):
+        return jnp.full(squared.shape, problem.measurement_covariance.shape[-1], np.int32)
+
+
+def limits_of(problem: Problem, *, kernel: str = "closed-form") -> Limit:
+    """Computes `squared_mahalanobis` and `freedom_of` at once; None for degrees that are all d."""
+    with lie.own_precision(problem):
+        if _says_all(problem):
+            return Limit(_cut(_KERNELS[kernel](problem), problem.valid), None)
+        traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(problem))
+        if traced or kernel != "closed-form":
+            return Limit(*(_cut(each, problem.valid) for each in _KERNELS[kernel](problem)))
+        found = _on_host(jax.tree.map(np.asarray, problem))  # compiling takes twenty seconds
+        return Limit(device_array(found.squared), device_array(found.freedom, np.int32))
+
+
+def _on_host(problem: ConsistencyProblem) -> Limit:
+    """The closed form on NumPy, of the valid closures; marked as the compiled one is."""
+    valid = np.flatnonzero(problem.valid)
+    names = (*_OF_CLOSURES, "free", "row_a", "row_b", "valid")
+    own = {name: jax.tree.map(lambda x: x[valid], getattr(problem, name)) for name in names}
+    harmless, known = _harmless(dataclasses.replace(problem, **own), np)
+    squared, freedom = limits_on_host(harmless)
+    squared[~(known[:, None] & known)] = np.nan
+    np.fill_diagonal(squared, 0.0)
+    np.fill_diagonal(freedom, problem.measurement_covariance.shape[-1])
+    return Limit(squared, freedom)
+
+
+def _cut(table: Any, valid: Any) -> Any:
+    """The rows and columns of valid closures; all of them where these are traced."""
+    if isinstance(valid, Tracer):
+        return table
+    valid = np.flatnonzero(np.asarray(valid))
+    if isinstance(table, Tracer):
+        return table[valid[:, None], valid]
+    # Cut by NumPy: an eager JAX gather would be compiled for every number of closures.
+    return device_array(np.asarray(table)[np.ix_(valid, valid)], table.dtype)
 
 
 @on_host
-def squared_on_host(problem: ConsistencyProblem) -> Float[np.ndarray, "k k"]:
-    """Computes the same for the host: in NumPy while that is cheaper than to compile.
+def weighed_on_host(problem: ConsistencyProblem) -> Limit:
+    """Computes `squared_mahalanobis` and `freedom_of` for the host: in NumPy while that is cheaper.
 
     Args:
         problem: of closures between two robots, float64, not traced.
 
     Returns:
-        As `squared_mahalanobis`; NumPy.
+        NumPy; None for degrees that are all d.
     """
-    d = problem.measurement_covariance.shape[-1]
-    padded = problem.valid.shape[0]
-    shapes = (problem.relative_covariance_a.shape, problem.relative_covariance_b.shape)
-    if _thrift.compiles((d, padded, shapes), padded**2 * SECONDS_A_PAIR[d]):
-        return np.asarray(squared_mahalanobis(problem))
-    return squared_in_numpy(problem)
+    d, padded = problem.measurement_covariance.shape[-1], problem.valid.shape[0]
+    if _says_all(problem):
+        shapes = problem.relative_covariance_a.shape, problem.relative_covariance_b.shape
+        if not _thrift.compiles((d, padded, shapes), padded**2 * SECONDS_A_PAIR[d]):
+            return Limit(squared_in_numpy(problem), None)
+    squared, freedom = limits_of(problem)
+    return Limit(np.asarray(squared), None if freedom is None else np.asarray(freedom))
 
 
 def squared_rows(
@@ -204,7 +278,15 @@ def squared_rows(
 
     Returns:
         `[r, m]`: q²_uv and q²_vu of u in `rows` and all v, zero for a closure with itself; NumPy.
+
+    Raises:
+        InputError: for closures that leave directions unsaid.
     """
+    if not _says_all(problem):
+        raise InputError(
+            "problem: closures leave directions unsaid, expected information of full rank (to weigh"
+            " them all at once is what squared_mahalanobis does)"
+        )
     rows = np.asarray(rows)
     padded = np.zeros(bucket(len(rows), smallest=1), np.int32)
     padded[: len(rows)] = rows

@@ -44,7 +44,8 @@ from jaxtyping import Array, Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, device_array, on_host, pad_leading
 from pcm_jax.consistency._relative import checked_joint, relative_covariance
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import InputError, InputWarning, check_class
+from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.mapping import MapCovariance
 
 if TYPE_CHECKING:
@@ -75,6 +76,9 @@ class ConsistencyProblem:
             row by row. Rows come in the order in which closures first touch the poses.
         relative_covariance_b: `[d(d+1)/2, kb, kb]`, likewise.
         valid: bool `[m]`, false for padding.
+        free: `[m, d, f]`, directions of δ that closures leave unsaid, as columns, filled up with
+            zeros; `measurement_covariance` has some finite value along them, which does not count.
+            None where every closure says all: see `LoopClosures.rank`.
     """
 
     measurement: Any
@@ -86,6 +90,7 @@ class ConsistencyProblem:
     relative_covariance_a: Float[Array, "packed ka ka"]
     relative_covariance_b: Float[Array, "packed kb kb"]
     valid: Bool[Array, " m"]
+    free: Float[Array, "m d f"] | None = None
 
     def __repr__(self) -> str:
         group = type(self.measurement).__name__
@@ -118,6 +123,10 @@ class ConsistencyProblem:
         """
         if dtype not in (np.float32, np.float64):
             raise InputError(f"dtype: {dtype!r}, expected float32 or float64")
+        if dtype == np.float32 and self.free is not None:
+            raise InputError(
+                "dtype: float32 given for closures that leave directions unsaid, expected float64"
+            )
         if dtype == np.float32 and self.measurement_covariance.dtype == np.float64:
             _warn_of_rounding(self)
         real = [(x, np.issubdtype(x.dtype, np.floating)) for x in jax.tree.leaves(self)]
@@ -198,7 +207,7 @@ def problem_from_covariances(
 def _problem(closures: LoopClosures, a: _OneMap, b: _OneMap) -> ConsistencyProblem:
     group, count = closures.group, len(closures)
     size = padded_size(count, closures=count)
-    covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
+    covariance, free = noise_of(np.asarray(closures.information, dtype=np.float64))
     if count == 0:
         d = lie.tangent_dim(group)
         covariance = np.broadcast_to(np.eye(d), (size, d, d))
@@ -212,6 +221,7 @@ def _problem(closures: LoopClosures, a: _OneMap, b: _OneMap) -> ConsistencyProbl
         relative_covariance_a=device_array(a.relative_covariance),
         relative_covariance_b=device_array(b.relative_covariance),
         valid=device_array(np.arange(size) < count, np.bool_),
+        free=None if free is None else device_array(pad_leading(free, size)),
     )
 
 
@@ -309,6 +319,11 @@ def check_pair(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> An
     Raises:
         InputError: as `consistency_problem` does.
     """
+    from pcm_jax.graph import LoopClosures, PoseGraph
+
+    check_class("map_a", map_a, "a PoseGraph", PoseGraph)
+    check_class("map_b", map_b, "a PoseGraph", PoseGraph)
+    check_class("closures", closures, "LoopClosures", LoopClosures)
     group = _common_group(map_a, map_b, closures)
     _check_one_pair(closures)
     _check_indices(np.asarray(closures.pose_a), map_a.num_poses, "pose_a")

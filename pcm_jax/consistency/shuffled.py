@@ -27,6 +27,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency._closed_form import squared_one_way
+from pcm_jax.consistency._limit import columns_of, comparable
 from pcm_jax.consistency.graph import consistency_graph
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.lie import unrolled
@@ -38,6 +39,8 @@ PAIRS_AT_ONCE = 1 << 20
 """Pairs of closures that are looked at together, over all shuffles."""
 CHUNK = 4096
 """Pairs that are weighed together: what they take stays in a core's cache."""
+UNBOUNDED = 1e30
+"""A variance of which single precision still knows that it is finite."""
 SLACK = 1e-5
 """By which rounding to single precision may move a sum of a few cosines."""
 
@@ -93,9 +96,13 @@ class ShuffledClosures:
         self._pose_a = _entries(problem.pose_a, count)
         self._from_b = self._module.inverse(_entries(problem.pose_b, count))
         self._covariance = np.asarray(problem.measurement_covariance)[:count]
+        self._free = None if problem.free is None else np.asarray(problem.free)[:count]
         self._turning = _rotation_axes(self._covariance.shape[-1])
         own: Any = [self._covariance[:, axis, axis] for _, axis in self._turning]
         self._own_spread = np.sum(own, axis=0)
+        if self._free is not None:  # headings do not tell apart what leaves a rotation unsaid
+            axes = [axis for _, axis in self._turning]
+            self._own_spread[self._free[:, axes].any(axis=(1, 2))] = UNBOUNDED
         self._rows = np.asarray(problem.row_a)[:count], np.asarray(problem.row_b)[:count]
         self._relative = (
             np.asarray(problem.relative_covariance_a),
@@ -124,10 +131,11 @@ class ShuffledClosures:
         shuffle, u, v = shuffle[kept], u[kept], v[kept]
         covariance = unrolled.from_array(self._covariance[order])
         noise = _full(order, unrolled.pack(self._module.adjoint_sandwich(reached, covariance)))
+        free = None if self._free is None else self._carried(order, reached)
         larger = np.empty(len(u))
         for start in range(0, len(larger), CHUNK):
             part = slice(start, start + CHUNK)
-            larger[part] = self._squared(shuffle[part], u[part], v[part], placed, noise)
+            larger[part] = self._squared(shuffle[part], u[part], v[part], placed, noise, free)
         return ConsistentPairs(shuffle, u, v, larger).take(larger <= self.gate)
 
     def _least_cosines(self, joined: np.ndarray | None) -> Float[np.ndarray, "k k"]:
@@ -157,10 +165,26 @@ class ShuffledClosures:
         shuffle, pair = np.divmod(at, self.count**2)
         return shuffle, *np.divmod(pair, self.count)
 
+    def _carried(self, order: np.ndarray, reached: Any) -> Float[np.ndarray, "f d b k"]:
+        """The directions that shuffled measurements leave unsaid, in map a's frame."""
+        adjoint, free = self._module.adjoint(reached), self._free[order]  # type: ignore[index]
+        of_each = (np.moveaxis(free[..., k], -1, 0) for k in range(free.shape[-1]))
+        carried = (unrolled.apply(adjoint, tuple(column)) for column in of_each)
+        return np.stack([np.stack([*_full(order, column)]) for column in carried])
+
     def _squared(
-        self, shuffle: np.ndarray, u: np.ndarray, v: np.ndarray, placed: Any, noise: Any
+        self,
+        shuffle: np.ndarray,
+        u: np.ndarray,
+        v: np.ndarray,
+        placed: Any,
+        noise: Any,
+        free: Float[np.ndarray, "f d b k"] | None,
     ) -> Float[np.ndarray, " p"]:
-        """The larger q² of either direction; infinite where the first is outside already."""
+        """The larger q² of either direction; infinite where the first is outside already.
+
+        With `free` as `comparable` has it.
+        """
         side_a, side_b = (
             relative[:, rows[u], rows[v]]
             for relative, rows in zip(self._relative, self._rows, strict=True)
@@ -169,14 +193,27 @@ class ShuffledClosures:
             side + z[shuffle, u] + z[shuffle, v] for side, z in zip(side_a, noise, strict=True)
         )
         t_u, t_v = (tuple(entry[shuffle, end] for entry in placed) for end in (u, v))
+        columns = None
+        if free is not None:
+            columns = columns_of(free, lambda k: k[:, :, shuffle, u], lambda k: k[:, :, shuffle, v])
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            forward = squared_one_way(self._module, t_u, t_v, t_v, fixed, side_b)
+            forward = self._one_way(t_u, t_v, t_v, fixed, side_b, columns)
             inside = np.flatnonzero(forward <= self.gate)
             t_u, t_v, fixed = (tuple(each[inside] for each in part) for part in (t_u, t_v, fixed))
-            backward = squared_one_way(self._module, t_u, t_v, t_u, fixed, side_b[:, inside])
+            if columns is not None:
+                columns = [tuple(entry[inside] for entry in column) for column in columns]
+            backward = self._one_way(t_u, t_v, t_u, fixed, side_b[:, inside], columns)
         result = np.full(len(u), np.inf)
         result[inside] = np.where(np.isnan(backward), np.inf, np.fmax(forward[inside], backward))
         return result
+
+    def _one_way(
+        self, t_u: Any, t_v: Any, at: Any, fixed: Any, side_b: Any, free: Any
+    ) -> Float[np.ndarray, " p"]:
+        found = squared_one_way(self._module, t_u, t_v, at, fixed, side_b, free)
+        if free is None:
+            return found
+        return comparable(found.squared, found.freedom, self._covariance.shape[-1])
 
 
 class ShuffledByMetric:

@@ -24,10 +24,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
+from pcm_jax.consistency._limit import DIFFERENT
 from pcm_jax.consistency.evidence import PairEvidence
 from pcm_jax.errors import InputError
+from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.mapping import MapCovariance
 
+ROUNDING = 1e-10
+"""Of the largest eigenvalue of a closure's share of P: smaller ones are zero."""
 STEPS, TOLERANCE = 20, 1e-8
 """Steps towards the common alignment, at most, and the last one's size in standard deviations."""
 
@@ -42,6 +46,8 @@ class StackedClosures:
         of_a: `[k, d, k, d]`, Σa: left perturbations of the pose in map a that each starts at.
         of_b: `[k, d, k, d]`, Σb: of the pose in map b that each ends at, in map b's frame.
         lever: how far from the middle of map b the closures end, metres.
+        free: `[k, d, f]`, the directions that each leaves unsaid (`consistency._limit`), filled up
+            with zeros; None where all is said.
     """
 
     placements: Any
@@ -49,6 +55,7 @@ class StackedClosures:
     of_a: Float[np.ndarray, "k d k d"]
     of_b: Float[np.ndarray, "k d k d"]
     lever: float
+    free: Float[np.ndarray, "k d f"] | None = None
 
     def __len__(self) -> int:
         return len(self.noise)
@@ -66,6 +73,7 @@ class StackedClosures:
             _blocks(self.of_a, rows),
             _blocks(self.of_b, rows),
             self.lever,
+            None if self.free is None else self.free[rows],
         )
 
     def errors(self, about: Any) -> Float[np.ndarray, "k d"]:
@@ -94,9 +102,9 @@ class StackedClosures:
         """Finds the alignment that the closures have in common: the fixed point of its mean."""
         about = self._start()
         for _ in range(STEPS):
-            found = fitted(self.errors(about), self.covariance(about))
+            found = fitted(self.errors(about), self.covariance(about), free=self.free)
             step = found.correction[0]
-            if step @ np.linalg.solve(found.correction_covariance, step) < TOLERANCE**2:
+            if np.sum((found.design @ step) ** 2) < TOLERANCE**2:
                 break
             about = lie.compose(_exp(about, step), about)
         return found._replace(alignment=about)
@@ -109,6 +117,7 @@ class StackedClosures:
         By the error that the others are predicted to have, given the members' errors and their
         alignment: χ² of n + 1 closures is that of n and that of the prediction's error.
         """
+        self.check_all_said("increases")
         about = self.take(members).fit().alignment
         both, n, d = self.take(np.concatenate([members, others])), len(members), self.dim
         error, covariance = both.errors(about), both.covariance(about)
@@ -123,6 +132,15 @@ class StackedClosures:
         own = covariance[n:, :, n:][index, :, index] - by_members
         own += seen @ fit.correction_covariance @ seen.swapaxes(1, 2)
         return np.sum(off * np.linalg.solve(own, off), axis=(1, 2))
+
+    def check_all_said(self, what: str) -> None:
+        """Raises `InputError` if some closures leave directions unsaid, which `what` cannot use."""
+        if self.free is not None:
+            lacking = int(self.free.any(axis=(1, 2)).sum())
+            raise InputError(
+                f"{what}: {lacking} of {len(self)} closures have singular information, expected"
+                ' full rank (repair="clip" on reading gives it)'
+            )
 
     def _start(self) -> Any:
         """The placement with the least sum of distances from the others: no mean of far ones."""
@@ -147,7 +165,12 @@ class JointFit(NamedTuple):
         error: `[k·d]`, e.
         root: `[k·d, k·d]`, L with K = L Lᵀ.
         design: `[k·d, alignments·d]`, L⁻¹ H.
+        freedom: degrees of freedom of χ².
         alignment: Lie, W, where the fit was iterated.
+        unsaid: `[k·d, s]`, an orthonormal basis of L⁻¹ N, which is left out of e and H; None
+            where closures leave nothing unsaid.
+        undetermined: `[alignments·d, n]`, directions of w that no closure says anything of; w is
+            zero along them, and so is its covariance.
     """
 
     squared: float
@@ -156,7 +179,10 @@ class JointFit(NamedTuple):
     error: Float[np.ndarray, " k*d"]
     root: Float[np.ndarray, "k*d k*d"]
     design: Float[np.ndarray, "k*d alignments*d"]
+    freedom: int
     alignment: Any = None
+    unsaid: Float[np.ndarray, "k*d s"] | None = None
+    undetermined: Float[np.ndarray, "alignments*d n"] | None = None
 
     def projection(self) -> Float[np.ndarray, "k d k d"]:
         """P = K⁻¹ − K⁻¹H (HᵀK⁻¹H)⁻¹ HᵀK⁻¹, with which χ² = eᵀ P e."""
@@ -164,6 +190,8 @@ class JointFit(NamedTuple):
 
         size, d = len(self.error), self.correction.shape[1]
         inverse = solve_triangular(self.root, np.eye(size), lower=True)
+        if self.unsaid is not None:
+            inverse -= self.unsaid @ (self.unsaid.T @ inverse)
         seen = inverse.T @ self.design
         whole = inverse.T @ inverse - seen @ self.correction_covariance @ seen.T
         return whole.reshape(size // d, d, size // d, d)
@@ -173,6 +201,7 @@ def fitted(
     errors: Float[np.ndarray, "k d"],
     covariance: Float[np.ndarray, "k d k d"],
     group: Int[np.ndarray, " k"] | None = None,
+    free: Float[np.ndarray, "k d f"] | None = None,
 ) -> JointFit:
     """Fits one alignment, or one for each group of closures, by generalised least squares.
 
@@ -180,6 +209,7 @@ def fitted(
         errors: e.
         covariance: K.
         group: of each closure, 0 … ; None: all have one.
+        free: directions that each closure leaves unsaid: K without bound along them.
     """
     from scipy.linalg import solve_triangular
 
@@ -190,7 +220,15 @@ def fitted(
     root = np.linalg.cholesky(covariance.reshape(count * d, count * d))
     white = solve_triangular(root, np.column_stack([design, errors.reshape(-1)]), lower=True)
     design, error = white[:, :-1], white[:, -1]
-    inverse = np.linalg.inv(design.T @ design)
+    unsaid = undetermined = None
+    if free is None:
+        inverse = np.linalg.inv(design.T @ design)
+    else:
+        unsaid = _unsaid(root, free)
+        before = design
+        design = design - unsaid @ (unsaid.T @ design)
+        error = error - unsaid @ (unsaid.T @ error)
+        inverse, undetermined = _determined(before, design)
     correction = inverse @ (design.T @ error)
     left = error - design @ correction
     return JointFit(
@@ -200,15 +238,53 @@ def fitted(
         error=errors.reshape(-1),
         root=root,
         design=design,
+        freedom=len(error) - design.shape[1] - _columns(unsaid) + _columns(undetermined),
+        unsaid=unsaid,
+        undetermined=undetermined,
     )
 
 
-def drops(projection: Float[np.ndarray, "k d k d"], pull: Float[np.ndarray, "k d"]) -> Any:
+def _columns(basis: np.ndarray | None) -> int:
+    return 0 if basis is None else basis.shape[1]
+
+
+def _unsaid(root: np.ndarray, free: Float[np.ndarray, "k d f"]) -> Float[np.ndarray, "k*d s"]:
+    """An orthonormal basis of L⁻¹ N, N of all closures: each has rows of its own."""
+    from scipy.linalg import solve_triangular
+
+    count, d, width = free.shape
+    rows = np.zeros((count, d, count, width))
+    rows[np.arange(count), :, np.arange(count)] = free
+    flat = rows.reshape(count * d, count * width)
+    return np.linalg.qr(solve_triangular(root, flat[:, flat.any(axis=0)], lower=True))[0]
+
+
+def _determined(
+    before: Float[np.ndarray, "k*d n"], design: Float[np.ndarray, "k*d n"]
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n u"]]:
+    """The covariance of what closures determine of w, and a basis of what they do not.
+
+    Args:
+        before: the whitened design, which closures that say all would have.
+        design: what is left of it when unsaid directions are taken out.
+    """
+    upper = np.linalg.qr(before)[1]
+    _, values, turned = np.linalg.svd(np.linalg.solve(upper.T, design.T).T, full_matrices=False)
+    directions = np.linalg.solve(upper, turned.T)
+    said = values > DIFFERENT
+    scaled = directions[:, said] / values[said]
+    return scaled @ scaled.T, directions[:, ~said]
+
+
+def drops(
+    projection: Float[np.ndarray, "k d k d"], pull: Float[np.ndarray, "k d"], singular: bool = False
+) -> Any:
     """The amount by which χ² falls if one closure leaves, for each: gᵤᵀ Pᵤᵤ⁻¹ gᵤ.
 
     Args:
         projection: P of all closures.
         pull: g = P e.
+        singular: whether closures leave directions unsaid, along which P is zero.
 
     Returns:
         `[k]`; a closure by itself pulls at nothing.
@@ -217,7 +293,11 @@ def drops(projection: Float[np.ndarray, "k d k d"], pull: Float[np.ndarray, "k d
         return np.zeros(len(pull))
     index = np.arange(len(pull))
     own = projection[index, :, index]
-    return np.einsum("kd,kd->k", pull, np.linalg.solve(own, pull[..., None])[..., 0])
+    if singular:
+        solved = np.linalg.pinv(own, rcond=ROUNDING, hermitian=True) @ pull[..., None]
+    else:
+        solved = np.linalg.solve(own, pull[..., None])
+    return np.einsum("kd,kd->k", pull, solved[..., 0])
 
 
 def stack_closures(evidence: PairEvidence, rows: Int[np.ndarray, " k"]) -> StackedClosures:
@@ -241,13 +321,14 @@ def stack_closures(evidence: PairEvidence, rows: Int[np.ndarray, " k"]) -> Stack
     seen = lie.compose(lie.take(a.frame, pose_a), lie.as_numpy(closures.measurement))
     ends = lie.take(b.frame, pose_b)
     adjoint = np.asarray(lie.adjoint(seen))
-    covariance = np.linalg.inv(np.asarray(closures.information, np.float64))
+    covariance, free = noise_of(np.asarray(closures.information, np.float64))
     return StackedClosures(
         placements=lie.compose(seen, lie.inverse(ends)),
         noise=adjoint @ covariance @ adjoint.swapaxes(1, 2),
         of_a=_gathered(a, pose_a),
         of_b=_gathered(b, pose_b),
         lever=1.0 + float(np.sqrt((lie.translation(ends) ** 2).sum(axis=1).mean())),
+        free=None if free is None else adjoint @ free,
     )
 
 

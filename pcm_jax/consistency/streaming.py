@@ -31,10 +31,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from pcm_jax import lie
-from pcm_jax.arrays import device_array, on_host, pad_leading, shareable_zeros
+from pcm_jax.arrays import as_real, device_array, on_host, pad_leading, shareable_zeros
 from pcm_jax.consistency._closed_form import gather, per_closure, weigh
+from pcm_jax.consistency._limit import Limit, carried, gates
+from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import check_pair, padded
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
+from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.lie import unrolled
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.mapping.covariance import CovarianceColumns
@@ -49,46 +52,6 @@ UNPACKED_AT_ONCE = 512  # rows of bits as bytes
 FORMAT = 1  # of the files
 
 Progress = Callable[[str, int, int], None]
-
-
-class PackedGraph(NamedTuple):
-    """A consistency graph of one bit a pair.
-
-    Attributes:
-        bits: uint8 `[m, ⌈m/8⌉]`: closure v is bit 7 − v % 8 of byte v // 8 of row u, as
-            `numpy.packbits` has it. Symmetric, the diagonal and what fills the last byte 0.
-        count: closures, m.
-    """
-
-    bits: UInt8[np.ndarray, "m bytes"]
-    count: int
-
-    def __repr__(self) -> str:
-        edges = int(self.degree.sum()) // 2
-        pairs = max(self.count * (self.count - 1) // 2, 1)
-        return (
-            f"PackedGraph({self.count} closures)\n"
-            f"  agreeing pairs  {edges} ({100.0 * edges / pairs:.3g} %)\n"
-            f"  memory          {self.bits.nbytes / 1e6:.3g} MB"
-        )
-
-    def dense(self) -> Bool[np.ndarray, "m m"]:
-        """As `consistency_graph` returns it; m² bytes."""
-        return np.unpackbits(self.bits, axis=1, count=self.count).view(np.bool_)
-
-    def has(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
-        """Marks the pairs that agree."""
-        return (self.bits[u, v // 8] >> (7 - v % 8) & 1).astype(bool)
-
-    def touches(self, some: Int[np.ndarray, " s"]) -> Bool[np.ndarray, " m"]:
-        """Marks the closures that agree with any of some."""
-        any_of_them = np.bitwise_or.reduce(self.bits[some], axis=0)
-        return np.unpackbits(any_of_them, count=self.count).view(np.bool_)
-
-    @property
-    def degree(self) -> Int[np.ndarray, " m"]:
-        """The number of others that each closure agrees with."""
-        return np.bitwise_count(self.bits).sum(axis=1, dtype=np.int64)
 
 
 @on_host
@@ -178,8 +141,10 @@ def stream_from_covariances(
 
 
 def _check_numbers(gate: float, panel: int) -> None:
-    if np.ndim(gate) or not float(gate) >= 0.0:
+    level = as_real(gate, "gate")
+    if level.ndim or not level >= 0.0:
         raise InputError(f"gate: {gate}; expected one squared distance, at least 0")
+    check_number("panel", panel, integer=True)
     if panel < TILE or panel % TILE:
         raise InputError(f"panel: {panel}; expected a multiple of {TILE}")
 
@@ -238,13 +203,14 @@ def _computed(
     side_b = _Side(covariance_b, np.asarray(closures.pose_b), width)
     rows = -(-panels[0].count // width) * width
     placed = _on_device(closures, side_a, side_b, rows)
+    by_freedom = device_array(gates(float(gate), closures.tangent_dim))
     running: Any = None
     for panel in panels:
         columns = side_a.columns(panel), side_b.columns(panel)
         if running is not None:
             yield _packed(*running)
         bounds = device_array([panel.start, panel.count], np.int32)
-        running = panel, _within_gate(module, placed, *columns, bounds, device_array(gate))
+        running = panel, _within_gate(module, placed, *columns, bounds, by_freedom)
     yield _packed(*running)
 
 
@@ -266,10 +232,11 @@ class _Columns(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """All closures: `per_closure`, and the rows of their poses in `_Columns`; padded."""
+    """All closures: `per_closure`, `carried`, and their poses' rows in `_Columns`; padded."""
 
     transform: Float[Array, "p m"]
     noise: Float[Array, "packed m"]
+    free: Float[Array, "f d m"] | None
     row_a: Int[Array, " m"]
     row_b: Int[Array, " m"]
 
@@ -330,18 +297,25 @@ class _Closures(NamedTuple):
     measurement_covariance: Float[Array, "m d d"]
     pose_a: Any
     pose_b: Any
+    free: Float[Array, "m d f"] | None
 
 
 def _on_device(closures: LoopClosures, side_a: _Side, side_b: _Side, size: int) -> _Placed:
-    covariance = np.linalg.inv(np.asarray(closures.information, dtype=np.float64))
+    covariance, free = noise_of(np.asarray(closures.information, dtype=np.float64))
     given = _Closures(
         padded(lie.as_numpy(closures.measurement), size),
         device_array(pad_leading(covariance, size)),
         padded(side_a.poses, size),
         padded(side_b.poses, size),
+        None if free is None else device_array(pad_leading(free, size)),
     )
     rows = (pad_leading(side.row, size) for side in (side_a, side_b))
-    return _Placed(*jax.jit(per_closure)(given), *(device_array(row, np.int32) for row in rows))
+    return _Placed(*_per_closure(given), *(device_array(row, np.int32) for row in rows))
+
+
+@jax.jit
+def _per_closure(closures: _Closures) -> tuple[Any, Any, Any]:
+    return *per_closure(closures), carried(closures)
 
 
 @functools.partial(jax.jit, static_argnames="module")
@@ -351,9 +325,17 @@ def _within_gate(
     side_a: _Columns,
     side_b: _Columns,
     bounds: Int[Array, "2"],
-    gate: Float[Array, ""],
+    gate: Float[Array, " d+1"],
 ) -> Bool[Array, "m width"]:
-    """Finds which u agree with each v of a panel; false before the panel's own rows."""
+    """Finds which u agree with each v of a panel; false before the panel's own rows.
+
+    Args:
+        module: of the group.
+        placed: all closures.
+        side_a, side_b: of the panel.
+        bounds: its start, and the number of closures.
+        gate: of pairs of 0 … d degrees of freedom.
+    """
     start, count = bounds
     width = side_a.column.shape[0]
     v = start + jnp.arange(width)
@@ -365,12 +347,18 @@ def _within_gate(
             gather(side_b.relative_covariance, placed.row_b[u], side_b.column),
             None,
         )
-        forward, backward = weigh(module, placed.transform, placed.noise, (u, v), sides)
-        agree = (forward <= gate) & (backward <= gate) & (u[:, None] != v)
+        both = weigh(module, placed.transform, placed.noise, (u, v), sides, placed.free)
+        agree = _within(both[0], gate) & _within(both[1], gate) & (u[:, None] != v)
         return jax.lax.dynamic_update_slice_in_dim(within, agree, block * TILE, 0)
 
     within = jnp.zeros((placed.row_a.shape[0], width), bool)
     return jax.lax.fori_loop(start // TILE, -(-count // TILE), tile, within)
+
+
+def _within(found: Any, gate: Float[Array, " d+1"]) -> Bool[Array, "r c"]:
+    if not isinstance(found, Limit):
+        return found <= gate[-1]
+    return found.squared <= gate[found.freedom.astype(np.int32)]
 
 
 def _stamp(

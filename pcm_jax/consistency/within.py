@@ -20,7 +20,7 @@ well calibrated, but less sharp, since what both share then adds up and does not
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -104,6 +104,73 @@ def within_problem(pose_graph: PoseGraph) -> WithinProblem:
         cumulated_covariance=device_array(cumulated.T),
         valid=device_array(np.arange(size) < count, np.bool_),
     )
+
+
+class OwnLoops(NamedTuple):
+    """The loops that m closures make with odometry alone, one by one; NumPy, float64.
+
+    All as left perturbations in the frame of `WithinProblem`, metres and radians: of a right
+    closure the error is drawn from N(0, odometry + measured).
+
+    Attributes:
+        error: `[m, d]`, r_u = Log(T_u⁻¹).
+        odometry: `[m, d, d]`, the covariance of what odometry adds between the closure's poses.
+        measured: `[m, d, d]`, that of the closure's own measurement.
+    """
+
+    error: Float[np.ndarray, "m d"]
+    odometry: Float[np.ndarray, "m d d"]
+    measured: Float[np.ndarray, "m d d"]
+
+    def take(self, some: Any) -> OwnLoops:
+        """Those of a slice, a mask or indices."""
+        return OwnLoops(*(each[some] for each in self))
+
+
+@on_host
+def own_loops(problem: WithinProblem, order: Int[np.ndarray, " m"] | None = None) -> OwnLoops:
+    """Finds the loop of each closure with odometry alone.
+
+    Args:
+        problem: of m closures, see `within_problem`.
+        order: closure u gets the measurement, and its covariance, of `order[u]`; by default its
+            own.
+    """
+    count = int(np.count_nonzero(np.asarray(problem.valid)))
+    wanted = np.arange(count) if order is None else np.asarray(order)
+    own = np.arange(count)
+    measured = lie.take(lie.as_numpy(problem.measurement), wanted)
+    pose_a, pose_b = (lie.take(lie.as_numpy(p), own) for p in (problem.pose_a, problem.pose_b))
+    reached = lie.compose(pose_a, measured)
+    error = np.asarray(lie.log(lie.compose(pose_b, lie.inverse(reached))))
+    adjoint = np.asarray(lie.adjoint(reached))
+    covariance = np.asarray(problem.measurement_covariance)[wanted]
+    cumulated = np.asarray(problem.cumulated_covariance)
+    start, end = (np.asarray(row)[:count] for row in (problem.row_a, problem.row_b))
+    added = cumulated[:, end] - cumulated[:, start]
+    odometry = np.empty((count, error.shape[1], error.shape[1]))
+    for entry, (i, j) in zip(added, unrolled.packed_indices(error.shape[1]), strict=True):
+        odometry[:, i, j] = odometry[:, j, i] = entry
+    return OwnLoops(error, odometry, adjoint @ covariance @ adjoint.swapaxes(1, 2))
+
+
+@on_host
+def reordered(problem: WithinProblem, order: Int[np.ndarray, " m"]) -> WithinProblem:
+    """Gives closure u the measurement, and its covariance, of closure `order[u]`."""
+    rows = np.arange(len(np.asarray(problem.valid)))
+    rows[: len(order)] = order
+    return dataclasses.replace(
+        problem,
+        measurement=lie.as_device(lie.take(lie.as_numpy(problem.measurement), rows)),
+        measurement_covariance=device_array(np.asarray(problem.measurement_covariance)[rows]),
+    )
+
+
+@on_host
+def with_odometry_errors(problem: WithinProblem, factor: float) -> WithinProblem:
+    """Multiplies the standard deviations of odometry by a factor."""
+    cumulated = factor**2 * np.asarray(problem.cumulated_covariance)
+    return dataclasses.replace(problem, cumulated_covariance=device_array(cumulated))
 
 
 def odometry_edges(pose_graph: PoseGraph) -> Int[np.ndarray, " steps"]:

@@ -19,7 +19,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from pcm_jax import lie
-from pcm_jax.arrays import namespace
+from pcm_jax.arrays import as_array, namespace
 from pcm_jax.errors import InputError
 
 Scalar = Float[Array, ""]
@@ -157,6 +157,8 @@ def host_poses(poses: Any) -> Any:
 
 def _fraction(part: Any, whole: Any) -> Any:
     part, whole = _mask(part), _mask(whole)
+    if np.shape(part)[-1:] != np.shape(whole)[-1:]:
+        raise InputError(f"masks: shapes {np.shape(part)} and {np.shape(whole)}, expected one [m]")
     xp = namespace(part, whole)
     count = xp.sum(whole, axis=-1)
     share = xp.sum(part & whole, axis=-1) / xp.maximum(count, 1)
@@ -164,7 +166,12 @@ def _fraction(part: Any, whole: Any) -> Any:
 
 
 def _mask(values: Any) -> Any:
-    return values if isinstance(values, Tracer) else np.asarray(values, dtype=bool)
+    if isinstance(values, Tracer):
+        return values
+    mask = as_array(values, "mask")
+    if mask.dtype.kind not in "biuf" or not mask.ndim:
+        raise InputError(f"mask: {mask.dtype} {mask.shape} given, expected bool [m]")
+    return mask.astype(bool)
 
 
 def _matched(estimate: Any, truth: Any) -> tuple[list[Any], list[Any]]:

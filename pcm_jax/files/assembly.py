@@ -18,6 +18,7 @@ from pcm_jax.files.scopes import scopes_of
 from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
+from pcm_jax.graph.unsaid import told
 
 MOST_BAD = 1000  # candidates that `skip_bad` leaves out of one file
 
@@ -52,9 +53,9 @@ def graph_of(
     parts, notes = [made.closures], [*notes, *made.notes]
     for file in files:
         if file.candidates and file.named is not None:
-            more, told = _tolerant(file, graph, skip_bad)
+            more, left_out = _tolerant(file, graph, skip_bad)
             parts.append(more)
-            notes += told
+            notes += left_out
     between, copies = _once(LoopClosures.concatenate(parts))
     graph = MultiRobotGraph(made.maps, between, made.truth)
     accounts = {
@@ -62,6 +63,7 @@ def graph_of(
         for file, found, scope in zip(own, placed, scopes, strict=True)
     }
     clipped = sum(file.clipped for file in files)
+    notes += told(np.asarray(between.information))
     account = Account(
         files=tuple(accounts.get(id(file)) or account_of(file, None) for file in files),
         copies=copies,
@@ -91,9 +93,9 @@ def closures_of(
     file: PoseFile, graph: MultiRobotGraph, skip_bad: bool
 ) -> tuple[LoopClosures, list[str], tuple[Copy, ...]]:
     """The closures of one file of candidates between a graph's maps, each once."""
-    closures, told = _tolerant(file, graph, skip_bad)
+    closures, left_out = _tolerant(file, graph, skip_bad)
     once, copies = _once(closures)
-    return once, told, copies
+    return once, [*left_out, *told(np.asarray(once.information))], copies
 
 
 def _tolerant(
@@ -112,10 +114,10 @@ def _tolerant(
             kept = None if file.named is None else file.named[good]
             file = dataclasses.replace(file, edges=file.edges[good], named=kept)
             continue
-        told = [
+        left_out = [
             f"{file.path}: {len(bad)} bad candidates left out (the first: {one})" for one in bad
         ]
-        return closures, [*notes, *told[:1]]
+        return closures, [*notes, *left_out[:1]]
 
 
 def check_one_group(files: Sequence[PoseFile]) -> None:

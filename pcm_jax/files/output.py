@@ -5,11 +5,11 @@ from __future__ import annotations
 import gzip
 import lzma
 import os
-import threading
 from os import PathLike
 from pathlib import Path
 
-from pcm_jax.errors import FileFormatError
+from pcm_jax.errors import FileFormatError, check_class
+from pcm_jax.store import written_whole
 
 
 def check_target(path: str | PathLike[str]) -> Path:
@@ -30,12 +30,13 @@ def check_target(path: str | PathLike[str]) -> Path:
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:
-    """`write_bytes` of the text in UTF-8; `.gz` and `.xz` compress."""
-    write_bytes(path, _compressed(Path(path).suffix, text.encode()))
+    """`write_bytes` of the text in UTF-8, what it lacks escaped; `.gz` and `.xz` compress."""
+    check_class("path", path, "a path", str, PathLike)
+    write_bytes(path, _compressed(Path(path).suffix, text.encode(errors="backslashreplace")))
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:
-    """Writes a temporary file beside `path` and moves it there.
+    """Writes a temporary file beside `path` and moves it there, see `written_whole`.
 
     Raises:
         FileFormatError: as `check_target`, and where the system refuses.
@@ -45,18 +46,10 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
         if target.exists() and not target.is_file():
             target.write_bytes(data)  # a device or pipe must not be replaced by a file
         else:
-            _replace(target, data)
+            with written_whole(target) as unfinished:
+                unfinished.write_bytes(data)
     except OSError as error:
         raise FileFormatError(path, None, f"cannot be written: {error.strerror}") from None
-
-
-def _replace(target: Path, data: bytes) -> None:
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.{threading.get_ident()}")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _compressed(suffix: str, data: bytes) -> bytes:

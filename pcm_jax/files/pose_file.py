@@ -13,11 +13,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_choice
 from pcm_jax.files._scope import Scope
+from pcm_jax.files.source import LIMIT
 from pcm_jax.files.text import line_fault
 from pcm_jax.graph.validation import Fault, check_information, check_self_loops, clip_to_definite
 
+SURE = 1e-9
+"""Share of an entry of the diagonal left as its pivot: no test of definiteness then fails."""
 INFORMATION = ("as-written", "sqrt", "covariance")
 ROTATION_INFORMATION = ("tangent", "quaternion")
 REPAIR = (None, "clip")
@@ -30,7 +33,8 @@ class Reading:
     """The reading of a file's numbers: `read_graph`'s options, checked.
 
     `group` is that of the maps, where they were read before; `components` makes a robot of each
-    session of a file that no odometry links to another.
+    session of a file that no odometry links to another; `byte_limit` bounds what a file may have
+    after decompression.
 
     Raises:
         InputError: for a value that is not one of those expected.
@@ -44,8 +48,11 @@ class Reading:
     default_sigmas: tuple[float, float] | None = None
     group: type[Any] | None = None
     components: bool = False
+    byte_limit: int = LIMIT
 
     def __post_init__(self) -> None:
+        if not isinstance(self.byte_limit, int | np.integer) or self.byte_limit < 1:
+            raise InputError(f"byte_limit: {self.byte_limit!r} given, expected bytes, at least 1")
         allowed = {
             "information": INFORMATION,
             "rotation_information": ROTATION_INFORMATION,
@@ -53,9 +60,7 @@ class Reading:
             "ids": IDS,
         }
         for argument, values in allowed.items():
-            given = getattr(self, argument)
-            if given not in values:
-                raise InputError(f"{argument}: {given!r} given, expected one of {values}")
+            check_choice(argument, getattr(self, argument), values)
         if self.default_sigmas is not None:
             object.__setattr__(self, "default_sigmas", _sigmas(self.default_sigmas))
 
@@ -124,7 +129,7 @@ class PoseFile:
         path: the file.
         group: `jaxlie.SE2` or `jaxlie.SE3`.
         vertices: its poses.
-        edges: its measurements, information positive definite.
+        edges: its measurements; information that is singular is for closures alone.
         comments: its comment lines.
         clipped: how many information matrices were repaired.
         format: the format's name.
@@ -190,7 +195,7 @@ def in_order(group: type[Any], parts: Sequence[Lines], ends: int) -> Lines:
 
 
 def checked(path: str, edges: Lines, repair: str | None) -> tuple[Lines, int]:
-    """Edges between different poses with positive definite information; how many were repaired."""
+    """Edges between different poses, their information as by `definite`; how many were repaired."""
     fault = line_fault(path, edges.line)
     check_self_loops(edges.ids[:, 0], edges.ids[:, 1], fault)
     information, clipped = definite(edges.information, fault, repair)
@@ -200,13 +205,37 @@ def checked(path: str, edges: Lines, repair: str | None) -> tuple[Lines, int]:
 def definite(
     information: Float[np.ndarray, "e d d"], fault: Fault, repair: str | None
 ) -> tuple[Float[np.ndarray, "e d d"], int]:
-    """Positive definite `[e, d, d]`, and how many were clipped to be that.
+    """Information `[e, d, d]` without a negative eigenvalue, and how many were clipped for that.
+
+    What lacks some directions (`graph.unsaid`) may be a closure's, and is kept where nothing is to
+    be repaired; a map's own edges lack none (`check_definite`).
 
     Raises:
-        InputError: through `fault`, for one that is not and is not to be repaired.
+        InputError: through `fault`, for one that has a negative eigenvalue, or is zero.
     """
-    clipped = 0
     if repair == "clip":
         information, clipped = clip_to_definite(information)
-    hint = "" if repair else '; repair="clip" (--repair clip) would clip its eigenvalues'
-    return check_information(information, lambda row, text: fault(row, text + hint)), clipped
+        return check_information(information, fault), clipped
+    return check_information(information, _hinted(fault), singular=True), 0
+
+
+def check_definite(information: Float[np.ndarray, "e d d"], fault: Fault) -> None:
+    """Raises `InputError` through `fault` unless a map's edges have positive definite information.
+
+    Args:
+        information: of `definite`.
+        fault: names the culprit.
+    """
+    try:
+        own = np.linalg.cholesky(information) ** 2
+        pivots = np.diagonal(own, axis1=1, axis2=2) / np.diagonal(information, axis1=1, axis2=2)
+        if (pivots > SURE).all():
+            return
+    except np.linalg.LinAlgError:
+        pass
+    check_information(information, _hinted(fault))
+
+
+def _hinted(fault: Fault) -> Fault:
+    hint = '; repair="clip" (--repair clip) would clip its eigenvalues'
+    return lambda row, text: fault(row, text + hint)

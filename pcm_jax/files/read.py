@@ -15,7 +15,7 @@ from pcm_jax.files.assembly import MOST_BAD, check_one_group, closures_of, graph
 from pcm_jax.files.formats import named, recognised
 from pcm_jax.files.names import check_given_once
 from pcm_jax.files.pose_file import PoseFile, Reading
-from pcm_jax.files.source import Source
+from pcm_jax.files.source import LIMIT, Source
 from pcm_jax.files.trajectories import joined_in_order
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
@@ -35,6 +35,7 @@ def read_graph(
     default_sigmas: tuple[float, float] | None = None,
     skip_bad: bool = False,
     ignore_priors: bool = False,
+    byte_limit: int = LIMIT,
 ) -> MultiRobotGraph:
     """Reads the robots' maps and the closures between them, from files of any format known.
 
@@ -52,7 +53,7 @@ def read_graph(
     composing measurements along a spanning tree that prefers edges between consecutive poses.
 
     Args:
-        paths: the files; a list of them will do.
+        paths: the files; a list of them will do. "-" is what comes on standard input.
         closures: files of further candidates, appended: CSV (see
             `pcm_jax.files.formats.candidates`), or any graph file, whose edges they are.
         information: "as-written" takes the numbers for the information matrix, those of iSAM text
@@ -72,6 +73,7 @@ def read_graph(
         skip_bad: whether candidates that cannot be read are left out and counted. Maps' own edges
             must be good.
         ignore_priors: whether poses measured by themselves are left out.
+        byte_limit: bytes that one file may have after decompression; 1 GiB by default.
 
     Returns:
         The robots' maps and the closures between them, float64. Closures and edges know their
@@ -91,7 +93,15 @@ def read_graph(
     Example:
         >>> graph = read_graph("a.g2o", "b.g2o", closures="candidates.csv")  # doctest: +SKIP
     """
-    reading = Reading(information, rotation_information, repair, format, ids, default_sigmas)
+    reading = Reading(
+        information,
+        rotation_information,
+        repair,
+        format,
+        ids,
+        default_sigmas,
+        byte_limit=byte_limit,
+    )
     graph, account = read_with_account(
         paths, closures, reading, skip_bad=skip_bad, ignore_priors=ignore_priors
     )
@@ -117,7 +127,7 @@ def read_with_account(
     if not given:
         raise InputError("paths: none given, expected at least one file")
     check_given_once([*given, *others])
-    files = [_read(Source(path), reading) for path in given]
+    files = [_read(Source(path, reading.byte_limit), reading) for path in given]
     if join:
         files = [joined_in_order(file, reading) for file in files]
     check_one_group(files)
@@ -194,7 +204,7 @@ def _read(source: Source, reading: Reading) -> PoseFile:
 
 def _read_candidates(path: str, reading: Reading, skip_bad: bool) -> tuple[PoseFile, list[str]]:
     """A file of candidates, without the lines that cannot be read where these may be skipped."""
-    source, bad = Source(path), []
+    source, bad = Source(path, reading.byte_limit), []
     if not source.is_folder and not source.head:
         reading = dataclasses.replace(reading, format="csv")  # no candidates are some
     while True:

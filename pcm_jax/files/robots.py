@@ -16,7 +16,7 @@ from jaxtyping import Bool
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files._table import Placed, Table
-from pcm_jax.files.pose_file import TRUE, UNKNOWN, PoseFile
+from pcm_jax.files.pose_file import TRUE, UNKNOWN, PoseFile, check_definite
 from pcm_jax.files.scopes import ORDER_LINE, Scope
 from pcm_jax.graph import symbols
 from pcm_jax.graph.copies import EQUAL, first_copies
@@ -49,7 +49,8 @@ def assemble(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> Assembled:
 
     Raises:
         FileFormatError: for an edge to a vertex or robot that does not exist, a vertex repeated
-            with another pose, and a map that is not connected.
+            with another pose, singular information of a map's own edge, and a map that is not
+            connected.
     """
     robots = _robots(files, scopes)
     if not robots:
@@ -60,6 +61,8 @@ def assemble(files: Sequence[PoseFile], scopes: Sequence[Scope]) -> Assembled:
     edges = edges[_kept_copies(edges)]
     robots, vertices, edges, notes = _without_landmarks(robots, vertices, edges)
     inside = edges.robot[:, 0] == edges.robot[:, 1]
+    inner = np.flatnonzero(inside)
+    check_definite(edges.information[inner], lambda row, text: edges.fault(int(inner[row]), text))
     in_order = any(ORDER_LINE in file.comments for file in files)
     priors, truth = placed.table("priors"), placed.table("truth")
     maps, true = [], []

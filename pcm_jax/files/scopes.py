@@ -39,18 +39,21 @@ from pcm_jax.files._scope import Scope, made_scope
 from pcm_jax.files._shared_ids import Shared, shared_ids
 from pcm_jax.files.names import stems_of
 from pcm_jax.files.pose_file import PoseFile
-from pcm_jax.files.source import read_lines
+from pcm_jax.files.source import Source
 from pcm_jax.files.text import csv_rows
 from pcm_jax.graph import symbols
 from pcm_jax.graph.validation import raise_first
+from pcm_jax.store import digest
 
 ROBOT_LINE = "# pcm_jax robot {letter} {kind} {name}"
 TABLE_LINE = "# pcm_jax id-table {file}"
+TABLE_DIGEST_LINE = "# pcm_jax id-table-digest {digest}"
 ORDER_LINE = "# pcm_jax order lines"
 FRAME_LINE = "# pcm_jax frame {name}"
 TABLE_COLUMNS = ("vertex", "robot", "id")
 _ROBOT = re.compile(r"# pcm_jax robot (\S) (key|index|label|id) (.+)")
 _TABLE = re.compile(r"# pcm_jax id-table (\S.*)")
+_TABLE_DIGEST = re.compile(r"# pcm_jax id-table-digest ([0-9a-f]+)")
 
 
 def scopes_of(files: Sequence[PoseFile], ids: str = "auto") -> tuple[list[PoseFile], list[Scope]]:
@@ -210,6 +213,11 @@ def _shared(
     )
 
 
+def table_digest(text: str) -> str:
+    """Digests a table of ids, for a comment in the file that it belongs to."""
+    return digest(text)
+
+
 def _table(file: PoseFile, number: int) -> Scope | None:
     """From the id table that a comment names: a CSV file with the columns vertex, robot, id."""
     tables = [m[1] for comment in file.comments if (m := _TABLE.fullmatch(comment.rstrip()))]
@@ -225,7 +233,8 @@ def _table(file: PoseFile, number: int) -> Scope | None:
             stacklevel=2,
         )
         return None
-    rows = csv_rows(table, read_lines(table))
+    source = Source(table)
+    rows = csv_rows(table, source.lines)
     if tuple(rows.first) != TABLE_COLUMNS:
         raise FileFormatError(table, 1, f"expected the columns {','.join(TABLE_COLUMNS)}")
     rows = rows.rest
@@ -237,6 +246,11 @@ def _table(file: PoseFile, number: int) -> Scope | None:
     again = np.zeros(len(rows), bool)
     again[order[1:]] = vertices[order[1:]] == vertices[order[:-1]]
     raise_first(again, rows.fault, lambda row: f"vertex {vertices[row]} again, expected it once")
+    digests = [m[1] for text in file.comments if (m := _TABLE_DIGEST.fullmatch(text.rstrip()))]
+    if digests and digests[-1] != table_digest(source.data.decode(errors="replace")):
+        raise FileFormatError(
+            table, None, f"changed since {file.path} was written, whose ids it explains"
+        )
     return made_scope(
         [f"file {number} robot {name}" for name in names],
         list(names),

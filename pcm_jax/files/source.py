@@ -7,6 +7,7 @@ import gzip
 import io
 import lzma
 import stat
+import sys
 import zlib
 from os import PathLike
 from pathlib import Path
@@ -17,6 +18,7 @@ from pcm_jax.errors import FileFormatError
 GZIP_MAGIC, XZ_MAGIC = b"\x1f\x8b", b"\xfd7zXZ\x00"
 LIMIT = 1 << 30  # bytes after decompression: a graph of millions of edges
 CHUNK = 1 << 20
+PIPED = "-"
 HEAD = 200  # lines that tell a format
 
 
@@ -24,11 +26,13 @@ class Source:
     """A file that is read once, when something of it is first asked for.
 
     Attributes:
-        path: as the caller wrote it.
+        path: as the caller wrote it; "-" is what comes on standard input.
+        limit: bytes after decompression that it may have.
     """
 
-    def __init__(self, path: str | PathLike[str]) -> None:
+    def __init__(self, path: str | PathLike[str], limit: int | None = None) -> None:
         self.path = str(path)
+        self.limit = LIMIT if limit is None else limit
 
     @functools.cached_property
     def is_folder(self) -> bool:
@@ -47,7 +51,7 @@ class Source:
         """
         if self.is_folder:
             return b""
-        with _opened(self.path) as file:
+        with self._open() as file:
             return file.read(32)
 
     @functools.cached_property
@@ -56,11 +60,11 @@ class Source:
 
         Raises:
             FileFormatError: for a file that is missing, unreadable, no regular file, more than
-                `LIMIT` bytes, binary (a zero byte), or compressed and damaged or cut short.
+                `limit` bytes, binary (a zero byte), or compressed and damaged or cut short.
         """
         try:
-            with _opened(self.path) as file, _decompressed(file) as stream:
-                return _bounded(self.path, stream)
+            with self._open() as file, _decompressed(file) as stream:
+                return _bounded(self.path, stream, self.limit)
         except (EOFError, OSError, lzma.LZMAError, zlib.error) as error:
             raise FileFormatError(
                 self.path, None, f"damaged or truncated compressed file: {str(error).lower()}"
@@ -100,6 +104,19 @@ class Source:
                     break
         return found
 
+    def _open(self) -> IO[bytes]:
+        return io.BytesIO(self._piped) if self.path == PIPED else _opened(self.path)
+
+    @functools.cached_property
+    def _piped(self) -> bytes:
+        """All that comes on standard input, which can be read once only."""
+        if sys.stdin is None or sys.stdin.closed:
+            raise FileFormatError(self.path, None, "standard input is closed, expected a pipe")
+        data = sys.stdin.buffer.read(self.limit + 1)
+        if len(data) > self.limit:
+            raise _too_long(self.path, self.limit)
+        return data
+
     def without_line(self, number: int) -> None:
         """Blanks one line, so that the file can be read without it."""
         self.lines[number - 1] = ""
@@ -122,7 +139,9 @@ def _opened(path: str) -> IO[bytes]:
         if stat.S_ISDIR(kind):
             raise FileFormatError(path, None, "this is a folder, expected a file")
         if not stat.S_ISREG(kind):
-            raise FileFormatError(path, None, "this is a pipe or a device, expected a file")
+            raise FileFormatError(
+                path, None, "this is a pipe or a device, expected a file, or - for standard input"
+            )
         return Path(path).open("rb")
     except FileNotFoundError:
         raise FileFormatError(path, None, "there is no such file") from None
@@ -141,7 +160,14 @@ def _decompressed(file: IO[bytes]) -> Any:
     return lzma.LZMAFile(file) if head.startswith(XZ_MAGIC) else file
 
 
-def _bounded(path: str, stream: IO[bytes]) -> bytes:
+def _too_long(path: str, limit: int) -> FileFormatError:
+    size = f"{limit >> 20} MiB" if limit >= 1 << 20 else f"{limit} bytes"
+    return FileFormatError(
+        path, None, f"more than {size} of text (byte_limit=, --byte-limit, allows more)"
+    )
+
+
+def _bounded(path: str, stream: IO[bytes], limit: int) -> bytes:
     """The stream's bytes, looked at as they come: what is binary or endless is refused early."""
     whole, size, lines = io.BytesIO(), 0, 0
     while chunk := stream.read(CHUNK):
@@ -149,7 +175,7 @@ def _bounded(path: str, stream: IO[bytes]) -> bytes:
             line = lines + chunk.count(b"\n", 0, chunk.index(b"\0")) + 1
             raise FileFormatError(path, line, "binary data (a zero byte), expected text")
         size, lines = size + len(chunk), lines + chunk.count(b"\n")
-        if size > LIMIT:
-            raise FileFormatError(path, None, f"more than {LIMIT >> 20} MiB of text")
+        if size > limit:
+            raise _too_long(path, limit)
         whole.write(chunk)
     return whole.getvalue()

@@ -111,7 +111,8 @@ class Rows:
         for index in range(start, stop):
             words = self.column(index)
             try:
-                if "_" in "".join(words):  # Python reads 1_0 as 10
+                text = "".join(words)
+                if "_" in text or not text.isascii():  # Python reads 1_0 as 10, and ١٠ too
                     raise ValueError
                 table[:, index - start] = list(map(convert, words))
             except (ValueError, OverflowError):
@@ -133,7 +134,7 @@ def _fits(word: str, convert: Callable[[str], Any], dtype: Any) -> bool:
         np.array(convert(word), dtype=dtype)
     except (ValueError, OverflowError):
         return False
-    return "_" not in word
+    return "_" not in word and word.isascii()
 
 
 def line_fault(path: str, line: np.ndarray) -> Fault:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,14 +43,8 @@ def trajectory_file(
     group, count = lie.group_of(poses), len(line)
     if not count:
         raise FileFormatError(path, None, "no poses, expected a trajectory")
+    check_sigmas(path, int(line[0]), reading)
     information = reading.default_information(group)
-    if information is None:
-        raise FileFormatError(
-            path,
-            int(line[0]),
-            "a trajectory says nothing of its steps' uncertainty; give default_sigmas=(metres,"
-            " radians) (--sigmas M RAD)",
-        )
     own = np.arange(count) if ids is None else ids
     order = np.argsort(own, kind="stable")
     poses, own, line = lie.take(poses, order), own[order], line[order]
@@ -63,7 +57,7 @@ def trajectory_file(
         Lines(
             np.stack([own[:-1], own[1:]], axis=1),
             np.asarray(lie.parameters(steps)),
-            np.tile(information, (count - 1, 1, 1)),
+            np.tile(cast(Any, information), (count - 1, 1, 1)),
             line[1:],
         ),
         format=format,
@@ -84,3 +78,14 @@ def joined_in_order(file: PoseFile, reading: Reading) -> PoseFile:
     poses = file.group(vertices.transforms)
     made = trajectory_file(file.path, file.format, poses, vertices.line, reading, ids=ids)
     return dataclasses.replace(file, edges=made.edges)
+
+
+def check_sigmas(path: str, line: int, reading: Reading) -> None:
+    """Raises `FileFormatError` without default sigmas, before a long file is taken to numbers."""
+    if reading.default_sigmas is None:
+        raise FileFormatError(
+            path,
+            line,
+            "a trajectory says nothing of its steps' uncertainty; give default_sigmas=(metres,"
+            " radians) (--sigmas M RAD)",
+        )

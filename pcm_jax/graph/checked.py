@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_array
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import validation
 from pcm_jax.graph.validation import ROTATION_TOLERANCE, Fault, argument_fault
 
@@ -60,11 +61,13 @@ def as_transforms(values: Any, argument: str, fault: Fault | None = None) -> Any
 def as_floats(values: Any, argument: str, expected: str) -> np.ndarray:
     """`values` as a float64 array; `InputError` with what was expected where they are none."""
     try:
-        return np.asarray(values, dtype=np.float64)
+        array = np.asarray(values)
+        array = array.astype(np.float64) if array.dtype.kind in "biufO" else None
     except (TypeError, ValueError):
-        raise InputError(
-            f"{argument}: {type(values).__name__} given, expected {expected}"
-        ) from None
+        array = None
+    if array is None or isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{argument}: {type(values).__name__} given, expected {expected}")
+    return array
 
 
 def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
@@ -93,7 +96,12 @@ def _from_matrices(values: Any, argument: str, fault: Fault) -> Any:
 
 
 def as_information(
-    information: Any, covariance: Any, transforms: Any, tangent_order: str
+    information: Any,
+    covariance: Any,
+    transforms: Any,
+    tangent_order: str,
+    *,
+    singular: bool = False,
 ) -> Float[np.ndarray, "m d d"]:
     """Information `[m, d, d]` over (translation, rotation), symmetric and positive definite.
 
@@ -102,6 +110,7 @@ def as_information(
         covariance: `[m, d, d]`, or None where `information` is given.
         transforms: the measurements, NumPy-backed `[m]`.
         tangent_order: one of `ORDERS`, of the rows and columns given.
+        singular: whether information may lack directions (`graph.unsaid`), but not all of them.
 
     Raises:
         InputError: unless exactly one is given; for a wrong shape; for a matrix that is not
@@ -116,7 +125,10 @@ def as_information(
     matrices = as_floats(given, argument, f"an array {(count, d, d)}")
     if matrices.shape != (count, d, d):
         raise InputError(f"{argument}: shape {matrices.shape} given, expected {(count, d, d)}")
-    matrices = validation.check_information(matrices, argument_fault(argument), argument)
+    singular = singular and covariance is None
+    matrices = validation.check_information(
+        matrices, argument_fault(argument), argument, singular=singular
+    )
     if covariance is not None:
         matrices = np.linalg.inv(matrices)
         matrices = 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
@@ -138,7 +150,7 @@ def as_ids(ids: Any, count: int) -> Int[np.ndarray, " n"]:
     """int64 `[count]`, all different; 0 … count − 1 for None."""
     if ids is None:
         return np.arange(count, dtype=np.int64)
-    values = np.asarray(ids)
+    values = as_array(ids, "ids")
     if values.shape != (count,):
         raise InputError(f"ids: shape {values.shape} given, expected ({count},), one per pose")
     if count and not np.issubdtype(values.dtype, np.integer):
@@ -185,7 +197,8 @@ def as_names(names: Any, count: int) -> np.ndarray:
     """Object array `[count]` of strings; empty ones for None."""
     out = np.full(count, "", dtype=object)
     if names is not None:
-        if len(names) != count:
+        check_class("source", names, "strings", list, tuple, np.ndarray)
+        if as_array(names, "source").shape != (count,):
             raise InputError(f"source: {len(names)} entries given, expected {count}")
         out[:] = list(names)
     return out

@@ -11,9 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_array
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import checked, symbols, validation
 from pcm_jax.graph.checked import batch_size
+from pcm_jax.graph.unsaid import ranks
 from pcm_jax.graph.validation import argument_fault
 
 if TYPE_CHECKING:
@@ -79,6 +81,15 @@ class LoopClosures:
     def tangent_dim(self) -> int:
         """d: 3 for SE(2), 6 for SE(3)."""
         return lie.tangent_dim(self.measurement)
+
+    @property
+    def rank(self) -> Int[np.ndarray, " m"]:
+        """Directions that each closure says something of, int64 `[m]`: d, or fewer.
+
+        A planar closure between maps in space has rank 3 of 6. Pairs of such closures are judged
+        with the degrees of freedom that both have in common (`freedom_of`).
+        """
+        return ranks(np.asarray(self.information))
 
     def __getitem__(self, rows: Any) -> LoopClosures:
         """The closures at integer indices, at one index, in a slice, or where a mask `[m]` is true.
@@ -165,7 +176,8 @@ class LoopClosures:
             pose_b: integers `[m]`.
             measurement: `jaxlie.SE2` or `jaxlie.SE3` `[m]`, or homogeneous matrices `[m, 3, 3]` or
                 `[m, 4, 4]`: pose b seen from pose a.
-            information: `[m, d, d]`, symmetric positive definite; or
+            information: `[m, d, d]`, symmetric and positive definite, or semidefinite where a
+                closure says nothing of some directions (see `rank`); or
             covariance: its inverse. Exactly one of the two.
             tangent_order: "translation-rotation" or "rotation-translation" (GTSAM's `Pose3`).
             weight: numbers `[m]` of at least 0, a front end's score; 1 by default.
@@ -174,7 +186,7 @@ class LoopClosures:
         Raises:
             InputError: for a wrong shape, a number that is not finite, a negative index or weight,
                 a closure from a robot to itself, information that is not symmetric and positive
-                definite.
+                semidefinite, or says nothing at all.
         """
         edges = checked.as_transforms(measurement, "measurement")
         count = len(lie.parameters(edges))
@@ -193,7 +205,9 @@ class LoopClosures:
             argument_fault("robot_b"),
             lambda row: f"closure from robot {ends[0][row]} to itself, expected two robots",
         )
-        matrices = checked.as_information(information, covariance, edges, tangent_order)
+        matrices = checked.as_information(
+            information, covariance, edges, tangent_order, singular=True
+        )
         names, weights = checked.as_names(source, count), checked.as_weights(weight, count)
         return cls.from_checked(tuple(ends), edges, matrices, names, weights)
 
@@ -265,6 +279,9 @@ class LoopClosures:
         Raises:
             InputError: for no parts, or parts of different groups.
         """
+        check_class("parts", parts, "a list of LoopClosures", list, tuple)
+        for number, part in enumerate(parts):
+            check_class(f"parts[{number}]", part, "LoopClosures", LoopClosures)
         groups = {part.group.__name__ for part in parts}
         if len(groups) != 1:
             given = ", ".join(sorted(groups)) or "none"
@@ -301,7 +318,13 @@ def robot_indices(maps: Sequence[PoseGraph], robots: Any, argument: str) -> np.n
     Raises:
         InputError: for a robot that is not there.
     """
-    values = np.asarray(robots)
+    check_class("maps", maps, "PoseGraphs", list, tuple)
+    for number, graph in enumerate(maps):
+        if not hasattr(graph, "num_poses"):
+            check_class(f"maps[{number}]", graph, "a PoseGraph")
+    values = as_array(robots, argument)
+    if values.ndim != 1:
+        raise InputError(f"{argument}: shape {values.shape} given, expected [m]")
     if values.size and values.dtype.kind not in "UO":
         return validation.as_indices(values, len(maps), argument, "robots")
     known = {graph.name: index for index, graph in enumerate(maps)}
@@ -323,7 +346,7 @@ def pose_indices(
     Raises:
         InputError: through `fault`, for an id that is not there.
     """
-    wanted = np.asarray(ids)
+    wanted = as_array(ids, "ids")
     if wanted.shape != robots.shape or (wanted.size and wanted.dtype.kind not in "iu"):
         raise fault(0, f"{wanted.dtype} {wanted.shape} given, expected integers {robots.shape}")
     if wanted.size and wanted.dtype.kind == "u" and wanted.max() > np.iinfo(np.int64).max:

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.validation import argument_fault, raise_first
@@ -41,7 +41,12 @@ class MultiRobotGraph:
     truth: tuple[Any, ...] | None = None
 
     def __post_init__(self) -> None:
+        check_class("maps", self.maps, "PoseGraphs", tuple, list)
         maps = tuple(self.maps)
+        for number, graph in enumerate(maps):
+            check_class(f"maps[{number}]", graph, "a PoseGraph", PoseGraph)
+        if self.closures is not None:
+            check_class("closures", self.closures, "LoopClosures", LoopClosures)
         if not maps:
             raise InputError("maps: none given, expected at least one")
         groups = [graph.group.__name__ for graph in maps]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_class, check_number
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -34,6 +34,9 @@ def pad_graph(graph: MultiRobotGraph, *, poses: int, edges: int, closures: int) 
         InputError: for more poses, edges or closures than there shall be, and for a map with
             priors, which the padded arrays do not hold.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
+    for name, size in (("poses", poses), ("edges", edges), ("closures", closures)):
+        check_number(name, size, least=0, most=np.iinfo(np.int32).max, integer=True)
     for robot, one in enumerate(graph.maps):
         if one.priors is not None:
             raise InputError(

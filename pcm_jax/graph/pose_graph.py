@@ -233,7 +233,8 @@ class PoseGraph:
         """
         sigmas = {"sigma_translation": sigma_translation, "sigma_rotation": sigma_rotation}
         for argument, sigma in sigmas.items():
-            if not (np.isfinite(sigma) and sigma > 0.0):
+            number = isinstance(sigma, float | int | np.number) and not isinstance(sigma, bool)
+            if not number or not 0.0 < sigma < validation.LARGEST:
                 raise InputError(f"{argument}: {sigma} given, expected a positive number")
         given = checked.as_transforms(poses, "poses")
         n, d = len(lie.parameters(given)), lie.tangent_dim(given)

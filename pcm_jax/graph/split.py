@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_array
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
@@ -36,6 +37,7 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
         InputError: for an index out of range or order, and for a piece that its own edges do not
             hold together.
     """
+    check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     n = pose_graph.num_poses
     cuts = _checked_cuts(at, n)
     start = np.concatenate([[0], cuts]).astype(np.int64)
@@ -92,7 +94,7 @@ def _priors_within(pose_graph: PoseGraph, first: int, last: int) -> Priors | Non
 
 
 def _checked_cuts(at: Any, n: int) -> np.ndarray:
-    cuts = np.atleast_1d(np.asarray(at))
+    cuts = np.atleast_1d(as_array(at, "at"))
     if not cuts.size:
         raise InputError("at: no pose given, expected at least one")
     if cuts.ndim != 1 or not np.issubdtype(cuts.dtype, np.integer):

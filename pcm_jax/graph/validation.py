@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pcm_jax.arrays import as_array
 from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.graph import unsaid
 
 Fault = Callable[[int, str], InputError]
 
@@ -62,7 +64,7 @@ def as_indices(values: Any, count: int | None, argument: str, of: str) -> Int[np
     Raises:
         InputError: for another shape, for values that are not integers, and for one out of range.
     """
-    indices = np.asarray(values)
+    indices = as_array(values, argument)
     if indices.ndim != 1:
         raise InputError(f"{argument}: shape {indices.shape} given, expected [m]")
     if indices.size and not np.issubdtype(indices.dtype, np.integer):
@@ -156,9 +158,19 @@ def _factored(
 
 
 def check_information(
-    matrices: Float[np.ndarray, "m d d"], fault: Fault, what: str = "information"
+    matrices: Float[np.ndarray, "m d d"],
+    fault: Fault,
+    what: str = "information",
+    *,
+    singular: bool = False,
 ) -> Float[np.ndarray, "m d d"]:
     """`[m, d, d]` made exactly symmetric, after checking that it nearly was and is definite.
+
+    Args:
+        matrices: `[m, d, d]`.
+        fault: names the culprit.
+        what: the name to use in messages.
+        singular: whether a matrix may lack directions (`graph.unsaid`), but not all of them.
 
     Raises:
         InputError: through `fault`, for a matrix that is not finite, not symmetric (to 1e-6 of its
@@ -174,10 +186,12 @@ def check_information(
         lambda row: f"{what} is not symmetric: entries differ by {skewed[row]:.3g}",
     )
     symmetric = 0.5 * (matrices + transposed)
+    bad = ~positive_definite(symmetric)
+    if singular and bad.any():
+        rank = unsaid.ranks(symmetric[bad])
+        bad[bad] = (rank < 1) | (rank == symmetric.shape[-1])
     raise_first(
-        ~positive_definite(symmetric),
-        fault,
-        lambda row: f"{what} is not positive definite ({_told(symmetric[row])})",
+        bad, fault, lambda row: f"{what} is not positive definite ({_told(symmetric[row])})"
     )
     return symmetric
 

@@ -3,8 +3,12 @@
 places       closures beside each other along both ways are one witness
 chance       how often closures of which none is right agree as well
 rivals       the best set that implies another alignment
+odometry     the scale of odometry's errors, as the closures inside one map tell it
+within       how often closures of which none is right agree with odometry inside one map
 verdict      what is believed, all pairs of robots together, and why
 team         cycles of robots: whether the alignments of a team's pairs fit together
+variance_components  the factors on stated variances, by restricted likelihood
+calibration  `Calibration`: these factors, in numbers and in words
 residuals    what is left of closures in the merged maps; the edges strained most
 _loops       by how much the loops of chosen pairs of closures miss, and through whose errors
 _standing    the standing of a closure among the others: agreements, the worst conflict
@@ -16,6 +20,7 @@ triage       where nearly all is rejected, the mistake that explains it
 """
 
 from pcm_jax.integrity._standing import STANDINGS, Conflict
+from pcm_jax.integrity.calibration import Calibration, Factor, Factors
 from pcm_jax.integrity.chance import SIGNIFICANCE, ChanceLevel, chance_level
 from pcm_jax.integrity.explanation import Explanation, explain
 from pcm_jax.integrity.places import Places, places_of, way_of
@@ -28,10 +33,13 @@ from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_n
 __all__ = [
     "SIGNIFICANCE",
     "STANDINGS",
+    "Calibration",
     "ChanceLevel",
     "Conflict",
     "Cycle",
     "Explanation",
+    "Factor",
+    "Factors",
     "Finding",
     "Fit",
     "Places",

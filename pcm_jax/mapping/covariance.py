@@ -23,8 +23,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import on_host
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_array, on_host
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import apart, edge_products, linearize
 from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, with_frame
@@ -61,6 +61,7 @@ class MapCovariance:
     """
 
     def __init__(self, pose_graph: PoseGraph, *, origin: Float[np.ndarray, " s"] | None = None):
+        check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
         self.pose_graph = pose_graph
         self._poses = lie.as_numpy(pose_graph.poses)
         positions = lie.translation(self._poses)
@@ -168,7 +169,7 @@ class MapCovariance:
     def _checked(self, poses: Any, side: str) -> Int[np.ndarray, " k"]:
         if side not in SIDES:
             raise InputError(f"side: {side!r} given, expected one of {', '.join(SIDES)}")
-        return _check_indices(np.asarray(poses), self.pose_graph.num_poses)
+        return _check_indices(as_array(poses, "poses"), self.pose_graph.num_poses)
 
     def _right(self, poses: np.ndarray, side: str) -> Float[np.ndarray, "k d d"] | None:
         """Right-hand sides: Ad(X)ᵀ for left perturbations, identities (None) for right ones."""
@@ -218,6 +219,7 @@ def joint_marginal_covariance(
     Raises:
         InputError: for an index out of range or given twice, or a singular map.
     """
+    check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     return MapCovariance(pose_graph).joint(poses)
 
 

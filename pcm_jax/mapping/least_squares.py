@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, on_host
 from pcm_jax.compiling import Thrift
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_choice
 from pcm_jax.graph.priors import Priors
 from pcm_jax.mapping._linearization import Edges, whitening_of
 from pcm_jax.mapping._stepwise import gauss_newton
@@ -108,10 +108,8 @@ class Solved(NamedTuple):
 
 def check_names(solver: str, engine: str) -> None:
     """Raises InputError unless solver and engine are known, and the engine's extra installed."""
-    if solver not in SOLVERS:
-        raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
-    if engine not in ENGINES:
-        raise InputError(f"engine: {engine!r} given, expected one of {', '.join(ENGINES)}")
+    check_choice("solver", solver, SOLVERS)
+    check_choice("engine", engine, ENGINES)
     if engine == "cholmod":
         try:
             import sparsax  # noqa: F401

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import InputError, InputWarning, check_choice, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
 from pcm_jax.mapping.initialization import chordal_poses
@@ -86,6 +86,7 @@ def optimize(
         solution = pcm_jax.optimize(graph.maps[0])
         solution.converged, solution.cost
     """
+    check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     solver = _solver(solver, method)
     check_names(solver, engine)
     start = _initial_poses(pose_graph, host_arrays(pose_graph), initial)
@@ -152,7 +153,7 @@ def _solver(solver: str | None, method: str | None) -> str:
             f"method: {method!r} given, expected none beside solver {solver!r}: it is the former"
             " name of the same"
         )
-    return solver or method or SOLVERS[0]
+    return (method or SOLVERS[0]) if solver is None else solver
 
 
 def host_arrays(graph: PoseGraph) -> tuple[Any, Any, Any, Any]:
@@ -162,6 +163,7 @@ def host_arrays(graph: PoseGraph) -> tuple[Any, Any, Any, Any]:
 
 
 def _initial_poses(graph: PoseGraph, arrays: Any, initial: str) -> Any:
+    check_choice("initial", initial, INITIAL)
     poses = lie.as_numpy(graph.poses)
     if initial == "given" or graph.num_poses == 1:
         return poses
@@ -170,6 +172,4 @@ def _initial_poses(graph: PoseGraph, arrays: Any, initial: str) -> Any:
     if initial == "spanning-tree":
         n = graph.num_poses
         return spanning_tree_poses(tail, head, measurement, n, root_pose=root, prefer="shortest")
-    if initial == "chordal":
-        return chordal_poses(*arrays, first_pose=root, size=graph.num_poses)
-    raise InputError(f"initial: {initial!r} given, expected one of {', '.join(INITIAL)}")
+    return chordal_poses(*arrays, first_pose=root, size=graph.num_poses)

@@ -1,7 +1,7 @@
 """Step iv: one map from several, with the accepted closures only.
 
 groups           which robots the accepted closures connect
-_alignment       where each map lies in its group's frame, from the closures alone: a start
+alignment        where each map lies in its group's frame, from the closures alone: a start
 _frames          whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
@@ -9,6 +9,7 @@ merged           every group at its optimum, and the poses back in the robots' m
 _recall          edges that were left out, but agree with the merged map, come back
 refine           that, and graduated non-convexity before it
 refinement       `Refinement`: what these changed
+untied           directions in which closures of singular information leave a map free
 _strain          which part of a merge does not fit
 _one_more_or_less     how far the anchors would move if a closure were decided the other way
 _report          the rows of its report

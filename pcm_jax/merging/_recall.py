@@ -149,7 +149,7 @@ class _Rounds:
     def _wanted(
         self, state: _State, squared: np.ndarray, allowed: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What should be in the map next, and what leaves it for good."""
+        """Decides on what is in the map next, and what leaves it for good."""
         failing = state.back & (squared > self.gate)
         left = _worse_half(failing, squared)
         if left.any():

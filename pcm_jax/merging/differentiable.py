@@ -38,7 +38,7 @@ import functools
 import itertools
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -47,11 +47,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
-from pcm_jax.arrays import host_device
-from pcm_jax.errors import InputError
+from pcm_jax.arrays import as_real, host_device
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import SOLVERS, padded_size
-from pcm_jax.merging._alignment import MOST_COMPARED, medoid_costs
+from pcm_jax.merging.alignment import MOST_COMPARED, medoid_costs
 
 
 def merge_differentiable(
@@ -110,8 +110,10 @@ def merge_differentiable(
 
     Raises:
         InputError: for an unknown solver, another number of weights than closures, or a map with
-            priors, which have no derivative here (inside a transformation they are lost before).
+            priors, which have no derivative here (inside a transformation they are lost before);
+            for closures of singular information.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     if solver not in SOLVERS:
         raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
     for own in graph.maps:
@@ -121,13 +123,26 @@ def merge_differentiable(
                 " not take; expected none (PoseGraph.without_priors)"
             )
     count = len(graph.closures)
+    if not isinstance(weights, jax.Array):
+        weights = cast(Any, as_real(weights, "weights"))
     if jnp.shape(weights) != (count,):
         raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")
     leaves = jax.tree.leaves((graph, weights))
     if not any(isinstance(leaf, Tracer) for leaf in leaves):
         graph, weights = jax.tree.map(np.asarray, (graph, weights))
+        _check_all_said(graph)
     with _scope(graph):
         return _merged(solver, graph, jnp.asarray(weights, graph.closures.information.dtype))
+
+
+def _check_all_said(graph: MultiRobotGraph) -> None:
+    """Raises `InputError` for singular information other than padding's zeros."""
+    rank = graph.closures.rank
+    lacking = np.flatnonzero((rank > 0) & (rank < graph.closures.tangent_dim))
+    if lacking.size:
+        raise InputError(
+            f"closures[{lacking[0]}]: information of rank {rank[lacking[0]]}, expected full rank"
+        )
 
 
 @contextmanager

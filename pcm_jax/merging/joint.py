@@ -21,6 +21,7 @@ from jaxtyping import Bool, Int
 from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph, Priors
+from pcm_jax.graph.unsaid import held
 from pcm_jax.mapping import Solution, optimize
 from pcm_jax.mapping.optimization import problem_of
 
@@ -42,7 +43,8 @@ def joint_graph(
         anchors: Lie `[robots]`, where each map is put to start with.
 
     Returns:
-        The robots' poses one robot after the other; their edges, then the closures; the priors of
+        The robots' poses one robot after the other; their edges, then the closures (what these
+        leave unsaid held as they measure it, see `graph.unsaid.held`); the priors of
         all of them, as they are: in the frame of the whole.
     """
     maps = [graph.maps[robot] for robot in members]
@@ -68,7 +70,9 @@ def joint_graph(
         tail=np.concatenate([*(np.asarray(m.tail) + start for m, start in placed), ends_a]),
         head=np.concatenate([*(np.asarray(m.head) + start for m, start in placed), ends_b]),
         measurement=lie.concatenate([lie.as_numpy(edge) for edge in edges]),
-        information=np.concatenate([np.asarray(m.information) for m in [*maps, used]]),
+        information=np.concatenate(
+            [*(m.information for m in maps), held(np.asarray(used.information))]
+        ),
         ids=np.arange(sum(sizes)),
         name=" + ".join(one.name for one in maps),
         source=np.concatenate([m.source for m in [*maps, used]]),

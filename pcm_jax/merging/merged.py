@@ -12,12 +12,13 @@ from pcm_jax import lie
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import Solution
 from pcm_jax.mapping.priors import freedom_added
-from pcm_jax.merging._alignment import aligned_anchors
 from pcm_jax.merging._frames import in_frame_of_priors, of_one_frame, with_priors
+from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import closures_within, robot_groups
 from pcm_jax.merging.joint import cut_apart, joint_graph, solve_joint
 from pcm_jax.merging.result import MergeSolution
 from pcm_jax.merging.robust import RobustSolution
+from pcm_jax.merging.untied import untied
 
 
 class Merged(NamedTuple):
@@ -73,6 +74,10 @@ def solve_groups(
         for robot, each in cut_apart(graph, members, merged):
             poses[robot] = each
     maps, anchors = _placed(graph, poses, before)
+    used = graph.closures[accepted]
+    freedom -= int((used.tangent_dim - used.rank).sum())
+    free = untied(MultiRobotGraph(maps, used), groups)
+    freedom += sum(len(directions) for directions in free.values())
     return Merged(maps, anchors, _summary(solutions, freedom), groups)
 
 

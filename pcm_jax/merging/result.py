@@ -13,8 +13,9 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import InputError, InputWarning, check_number
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.graph.validation import as_indices
 from pcm_jax.integrity import Explanation, StrainedEdge, explain, strained_edges
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging._one_more_or_less import anchor_shift
@@ -24,6 +25,7 @@ from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.refinement import Refinement
 from pcm_jax.merging.robust import RobustSolution
+from pcm_jax.merging.untied import untied
 from pcm_jax.selection import Selection
 
 LINEAR_TO = np.radians(40.0)
@@ -135,6 +137,12 @@ class MergeResult:
             if cycle.p < UNLIKELY:
                 around = " – ".join(names[robot] for robot in cycle.robots)
                 told.append(f"the alignments around {around} do not fit (p = {cycle.p:.2g})")
+        for robot, directions in untied(self.graph, self.groups).items():
+            told.append(
+                f"robot {names[robot]!r}: {len(directions)} of {self.graph.tangent_dim} directions"
+                f" of its place ({', '.join(directions)}) are tied by no accepted closure; they"
+                " stay where the closures' measurements put them"
+            )
         strained = strain(self.graph, self.solution.normalized_chi2)
         return told + ([strained] if strained else [])
 
@@ -185,10 +193,11 @@ class MergeResult:
                 order too small (`benchmarks.answers`: mean NEES 1.02 at 37°, 1.2 at 49°). Of the
                 anchors' covariance it holds further than that.
         """
+        check_number("robot", robot, integer=True)
         if not 0 <= robot < len(self.maps):
             raise InputError(f"robot: {robot} given, expected 0 … {len(self.maps) - 1}")
         count = self.maps[robot].num_poses
-        wanted = np.arange(count) if poses is None else np.asarray(poses)
+        wanted = np.arange(count) if poses is None else as_indices(poses, count, "poses", "poses")
         outside = wanted[(wanted < 0) | (wanted >= count)]
         if outside.size:
             raise InputError(f"poses: {outside[0]} given, expected 0 … {count - 1}")

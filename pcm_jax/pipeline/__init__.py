@@ -3,11 +3,16 @@
 stages   how long each step took, and what is told of it
 weigh    steps i and ii for every pair of robots: evidence
 select   step iii: the closures to believe
+_within_trials  one map's closures under several scales of odometry's errors
+within   all of it inside one robot's map: the loop closures to believe there
+calibrate  by how much odometry and closures misstate their errors
 merge    step iv: one map a group
 """
 
+from pcm_jax.pipeline.calibrate import calibrate
 from pcm_jax.pipeline.merge import merge
 from pcm_jax.pipeline.select import select
 from pcm_jax.pipeline.weigh import weigh
+from pcm_jax.pipeline.within import clean_maps, select_within
 
-__all__ = ["merge", "select", "weigh"]
+__all__ = ["calibrate", "clean_maps", "merge", "select", "select_within", "weigh"]

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool
 
-from pcm_jax.arrays import on_host
+from pcm_jax.arrays import as_array, on_host
 from pcm_jax.consistency import Evidence, chi2_gate
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
 from pcm_jax.merging.compile_time import CompileClock
 from pcm_jax.merging.merged import regroup, solve_groups
@@ -149,6 +149,7 @@ def merge(
         gate, robust, refinement = chosen.gate, None, None
         if kind == "robust":
             check_weights(method, given)
+            _check_all_said(method, given.closures)
             gate = float(chi2_gate(_or(confidence, CONFIDENCE), given.tangent_dim))
             names = {"method": method, "solver": solver or "levenberg-marquardt", "engine": engine}
             robust = solve_robustly(own, gate=gate, **names, **options)  # type: ignore[arg-type]
@@ -188,6 +189,16 @@ def merge(
         robust=robust,
         refinement=refinement,
     )
+
+
+def _check_all_said(method: Any, closures: LoopClosures) -> None:
+    """Raises `InputError` for singular information, of whose rank a robust method knows nothing."""
+    lacking = int((closures.rank < closures.tangent_dim).sum())
+    if lacking:
+        raise InputError(
+            f"method: {method!r} with {lacking} closures of singular information, expected a"
+            ' selection method (or repair="clip" on reading)'
+        )
 
 
 def _or(value: Any, default: Any) -> Any:
@@ -296,7 +307,7 @@ def _mask(
     count = len(graph.closures)
     if given is None:
         return np.full(count, none)
-    chosen = np.asarray(given)
+    chosen = as_array(given, name)
     if chosen.dtype == bool:
         if chosen.shape != (count,):
             raise InputError(f"{name}: shape {chosen.shape}, expected [{count}], one per closure")
@@ -315,6 +326,7 @@ def _mask(
 
 def _enough(closures: LoopClosures, accepted: np.ndarray, minimum: int) -> np.ndarray:
     """Without the closures of robot pairs that accept fewer than the minimum."""
+    check_number("minimum_inliers", minimum)
     if minimum < 0:
         raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
     kept = accepted.copy()

@@ -8,7 +8,7 @@ import numpy as np
 
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.integrity import judge_by_chance, judge_by_number, judge_team
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
@@ -97,6 +97,14 @@ def select(
     asked = {name: value for name, value in of_chance.items() if value is not None}
     check_minimum(minimum_inliers, asked)
     check_graph(graph)
+    if seed is not None:
+        check_number("seed", seed, least=0, integer=True)
+    check_number("confidence", confidence)
+    if significance is not None:
+        check_number("significance", significance)
+    for name, given in (("separation", separation), ("time_limit", time_limit)):
+        if given is not None:
+            check_number(name, given)
     gate = float(chi2_gate(confidence, graph.tangent_dim))
     evidence = weighed(graph, weighing, needs_distances(method, options), progress)
     check_weights(method, evidence.graph)
@@ -143,18 +151,18 @@ def check_minimum(minimum: Any, of_chance: dict[str, Any]) -> None:
                 f"minimum_inliers: {minimum!r}, expected {CHANCE!r} or a number of closures"
             )
         on_ambiguous = of_chance.get("on_ambiguous", ON_AMBIGUOUS[0])
-        if on_ambiguous not in ON_AMBIGUOUS:
+        if not isinstance(on_ambiguous, str) or on_ambiguous not in ON_AMBIGUOUS:
             raise InputError(
                 f"on_ambiguous: {on_ambiguous!r}, expected one of {', '.join(ON_AMBIGUOUS)}"
             )
-    elif not minimum >= 0:
+        return
+    check_number("minimum_inliers", minimum)
+    if minimum < 0:
         raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
-    else:
-        for name, value in of_chance.items():
-            raise InputError(
-                f"{name}: {value} given with minimum_inliers {minimum}, expected {CHANCE!r} for"
-                " that"
-            )
+    for name, value in of_chance.items():
+        raise InputError(
+            f"{name}: {value} given with minimum_inliers {minimum}, expected {CHANCE!r} for that"
+        )
 
 
 def check_graph(graph: Any) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
@@ -16,12 +16,12 @@ from pcm_jax.consistency import (
     PackedGraph,
     PairEvidence,
     problem_from_covariances,
-    squared_on_host,
     stream_from_covariances,
+    weighed_on_host,
 )
 from pcm_jax.consistency.evidence import checked_squared
 from pcm_jax.consistency.problem import bytes_needed, check_pair
-from pcm_jax.errors import ConvergenceWarning, InputError
+from pcm_jax.errors import ConvergenceWarning, InputError, check_class, check_number
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance, optimize
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
@@ -78,6 +78,7 @@ def weigh(
     Warns:
         ConvergenceWarning: for a map whose optimisation stopped before it converged.
     """
+    check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     metric = _checked_metric(metric)
     memory_limit = checked_limit(memory_limit)
     tell, watch = progress or silent, StopWatch()
@@ -97,7 +98,8 @@ def weigh(
         elif bytes_needed(closures) > memory_limit:
             found["_stream"] = functools.partial(_streamed, *both, closures, progress=tell)
         else:
-            found["_squared"] = _weighed(*both, closures, watch)
+            squared, freedom = _weighed(*both, closures, watch)
+            found |= {"_squared": squared, "_freedom": freedom}
         pairs.append(PairEvidence(a, b, indices, closures, both, **found))
     tell("consistency", len(between), len(between))
     name = getattr(metric, "__name__", "function") if callable(metric) else MAHALANOBIS
@@ -120,6 +122,7 @@ def optimized_maps(
 
 def checked_limit(memory_limit: float) -> float:
     """Bytes of at least 0; `InputError` for anything else."""
+    check_number("memory_limit", memory_limit)
     if not memory_limit >= 0:
         raise InputError(f"memory_limit: {memory_limit}, expected bytes, at least 0")
     return memory_limit
@@ -139,11 +142,12 @@ def _optimised(pose_graph: PoseGraph) -> PoseGraph:
 
 def _weighed(
     a: MapCovariance, b: MapCovariance, closures: LoopClosures, watch: StopWatch
-) -> Float[np.ndarray, "k k"]:
+) -> tuple[Float[np.ndarray, "k k"], Int[np.ndarray, "k k"] | None]:
+    """Squared distances, and the degrees of freedom where some have fewer than d."""
     with watch("marginals"):
         problem = problem_from_covariances(a, b, closures)
     with watch("consistency"):
-        return squared_on_host(problem)
+        return weighed_on_host(problem)
 
 
 def _streamed(

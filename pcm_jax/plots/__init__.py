@@ -3,6 +3,7 @@
     maps           trajectories, closures by what became of them, several merges side by side
     _consistency   squared distances, the consistency graph, the gate
     _methods       precision and recall, sweeps of thresholds, times, set sizes
+    _calibration   residuals against what they should be
     _tables        a comparison table as a picture
     style          colours, lines and figures that all of these share
 
@@ -10,6 +11,7 @@ Each function draws into the matplotlib axes given as `ax`, or makes a figure of
 returns the axes; saving and showing are left to the caller.
 """
 
+from pcm_jax.plots._calibration import plot_calibration
 from pcm_jax.plots._consistency import (
     plot_consistency_graph,
     plot_gate,
@@ -30,6 +32,7 @@ from pcm_jax.plots.maps import (
 )
 
 __all__ = [
+    "plot_calibration",
     "plot_comparison",
     "plot_comparison_table",
     "plot_consistency_graph",

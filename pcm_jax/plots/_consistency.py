@@ -169,7 +169,7 @@ def plot_gate(
 
 
 def _checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
-    given = squared.squared if isinstance(squared, PairEvidence) else squared
+    given = squared.comparable if isinstance(squared, PairEvidence) else squared
     values = np.array(given, dtype=float)
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
         raise InputError(f"squared: shape {values.shape} given, expected [m, m]")

@@ -7,7 +7,7 @@ choose           `select_from` and `choose`: a method by name, or as a function,
 weights          which methods go by closures' weights; what is said where one cannot
 batched          `select_batched`: the kernels, on many small problems at once
 soft             `soft_select`: PCM relaxed, with derivatives
-within_one_map   `select_within`: the loop closures inside one robot's own map
+within_one_map   `WithinSelection`: what `pipeline.select_within` returns
 result           `Selection`, `PairSelection`: what `pipeline.select` returns
 """
 
@@ -18,7 +18,7 @@ from pcm_jax.selection.methods import METHODS
 from pcm_jax.selection.methods.jcbb import repair
 from pcm_jax.selection.result import PairSelection, Selection
 from pcm_jax.selection.soft import soft_select
-from pcm_jax.selection.within_one_map import WithinSelection, clean_maps, select_within
+from pcm_jax.selection.within_one_map import WithinSelection
 
 __all__ = [
     "METHODS",
@@ -28,10 +28,8 @@ __all__ = [
     "SelectionMethod",
     "WithinSelection",
     "choose",
-    "clean_maps",
     "repair",
     "select_batched",
     "select_from",
-    "select_within",
     "soft_select",
 ]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from pcm_jax.arrays import as_array, as_real
 from pcm_jax.consistency import PairEvidence
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.selection.method import Choice
@@ -55,14 +56,16 @@ def select_from(
         InputWarning: for a gate between 0.9 and 1, which is a confidence by the look of it.
     """
     check_method(method, options)
-    if np.ndim(gate) == 0 and A_CONFIDENCE <= float(gate) < 1.0:
+    squared = as_array(squared, "squared")
+    check_gate(gate)
+    if A_CONFIDENCE <= float(gate) < 1.0:
         warnings.warn(
             f"gate: {float(gate):g}, expected a squared distance γ²: for a confidence of"
             f" {float(gate):g} it is chi2_gate({float(gate):g}, dof)",
             InputWarning,
             stacklevel=2,
         )
-    choice = choose(PairEvidence.from_squared(np.asarray(squared)), gate, method=method, **options)
+    choice = choose(PairEvidence.from_squared(squared), gate, method=method, **options)
     return choice if with_certificate else choice.members
 
 
@@ -75,9 +78,7 @@ def choose(
         InputError: as `select_from`; for `"jcbb"` only where the evidence is of distances alone.
     """
     check_method(method, options)
-    if np.ndim(gate) != 0 or not float(gate) >= 0.0:
-        raise InputError(f"gate: {gate}, expected one number of at least 0")
-    gate = float(gate)
+    gate = check_gate(gate)
     if not isinstance(method, str):
         return Choice(_checked_mask(method(evidence, gate), len(evidence), name_of(method)))
     if METHODS[method].choose is None:
@@ -90,7 +91,15 @@ def choose(
     if evidence.is_streamed and not needs_distances(method, options):
         own = {name: value for name, value in options.items() if name != "tie_break"}
         return METHODS[method].choose_in(evidence.consistent(gate), **own)  # type: ignore[misc]
-    return METHODS[method].choose(evidence.squared, gate, **options)  # type: ignore[misc]
+    return METHODS[method].choose(evidence.comparable, gate, **options)  # type: ignore[misc]
+
+
+def check_gate(gate: Any) -> float:
+    """One number of at least 0; `InputError` for anything else."""
+    value = as_real(gate, "gate")
+    if value.ndim or not value >= 0.0:
+        raise InputError(f"gate: {gate}, expected one number of at least 0")
+    return float(value)
 
 
 def needs_distances(method: Method, options: dict[str, Any]) -> bool:

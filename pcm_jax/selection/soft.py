@@ -41,20 +41,24 @@ class SoftSelect(torch.autograd.Function):
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from pcm_jax import lie
+from pcm_jax.arrays import as_real
 from pcm_jax.clique import maximum_clique_batched
 from pcm_jax.errors import InputError
 
 STEPS = 20
 RATE = 2.0
 """κ/ω: a vertex that misses one member of a clique keeps 1/e of its share in each step."""
+SMALLEST = 1e-30
+"""Of gates and temperatures: quotients of two still are numbers."""
 MOST_SEARCHED = 1 << 17
 """Steps after which the exact search hands over the best clique that it has."""
 
@@ -91,14 +95,28 @@ def soft_select(
         131,072 steps (beyond which it starts from the best set found).
 
     Raises:
-        InputError: for distances that are not square.
+        InputError: for distances that are not square, and for a concrete gate or temperature that
+            is not a number above zero.
     """
+    for name, given in (("gate", gate), ("temperature", temperature)):
+        _check_positive(name, given)
+    if not isinstance(squared, jax.Array):
+        as_real(squared, "squared")  # which refuses what is none; the precision stays
+        squared = cast(Any, np.asarray(squared))
     shape = jnp.shape(squared)
     if len(shape) != 2 or shape[0] != shape[1]:
         raise InputError(f"squared: shape {shape}, expected [m, m]")
     counted = np.ones(shape[0], bool) if valid is None else valid
     with lie.own_precision((squared, gate, temperature)):
         return _relaxed(jnp.asarray(squared), gate, temperature, counted, steps)
+
+
+def _check_positive(name: str, given: Any) -> None:
+    if isinstance(given, Tracer):
+        return
+    value = as_real(given, name)
+    if value.ndim or not SMALLEST < value < np.inf:
+        raise InputError(f"{name}: {given}, expected a number above zero")
 
 
 def _soft(squared: Any, gate: Any, temperature: Any, valid: Any, steps: int) -> Any:

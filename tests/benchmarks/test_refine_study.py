@@ -20,7 +20,7 @@ def small_world():
 
 def small_tasks(options, seed):
     return {
-        f"csail, low, stated #{seed}-{number}": partial(study.judge, small_world)
+        f"csail, low, unstated #{seed}-{number}": partial(study.judge, small_world)
         for number in range(options.worlds)
     }
 
@@ -38,7 +38,7 @@ def test_one_command_writes_all_and_resumes(tmp_path, monkeypatch, capsys):
     command = ["--studies", "csail", "size", "--worlds", "2", "--out", str(tmp_path)]
     assert study.main(command) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())
-    cell = summary["csail, low, stated"]
+    cell = summary["csail, low, unstated"]
     assert list(cell) == [*ROWS, "true closures"]
     assert all(row["worlds"] == 2 for row in cell.values())
     assert cell["true closures"]["tpr"] == 100.0
@@ -51,7 +51,7 @@ def test_one_command_writes_all_and_resumes(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(study, "judged", None)  # nothing is computed again
     assert study.main(command) == 0
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
-    assert "csail, low, stated: PCM + recall" in capsys.readouterr().out
+    assert "csail, low, unstated: PCM + recall" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -187,7 +187,12 @@ def test_cleaning_the_maps_first(run, report, city_with_a_false_loop, tmp_path):
     assert ran.status == 0
     clean = json.loads((tmp_path / "clean.json").read_text())
     a, b = clean["cleaned"]
-    assert list(a) == ["robot", "measured", "accepted", "optimal", "upper_bound", "rejected"]
+    assert list(a) == [
+        *("robot", "measured", "accepted", "optimal", "upper_bound"),
+        *("odometry_scale", "found", "places", "chance", "why", "rejected"),
+    ]
+    assert (a["odometry_scale"], a["found"]) == (1.0, a["accepted"])
+    assert a["chance"] < 0.01
     assert (a["robot"], b["robot"], a["optimal"], b["optimal"]) == ("a", "b", True, True)
     assert {"a": "a40", "b": "a10", "source": f"{file}:{line}"} in a["rejected"]
     assert a["measured"] == 1 + report["robots"][0]["edges"] - 59

@@ -41,16 +41,14 @@ def test_recall_is_told(run, with_a_near_miss, tmp_path):
     assert len(refined["recalled"]) == 1
 
 
-def test_what_is_dropped_is_told():
-    refined = {"recalled": [], "dropped": [3], "loops_dropped": [{}], "rounds": 20}
-    solution = {"cost": 1.0, "normalized_chi2": 1.0, "converged": True, "iterations": 2}
-    report = {
-        **{"robots": [], "anchors": [], "groups": [], "robot_pairs": [{"accepted": 1}]},
-        **{"solution": solution, "refine": {**refined, "settled": False}},
-    }
-    pair = {"a": "a", "b": "b", "measured": 2, "optimal": True, "why": "", "accepted": 1}
-    pair["upper_bound"] = 1
-    text = summary({**report, "robot_pairs": [pair]})
+def test_what_is_dropped_is_told(run, with_a_near_miss, tmp_path):
+    """A report whose refinement dropped something, and had not settled."""
+    path = tmp_path / "report.json"
+    run("merge", with_a_near_miss, "--minimum-inliers=2", "--refine=recall", f"--report={path}")
+    report = json.loads(path.read_text())
+    report["refine"] |= {"recalled": [], "dropped": [3], "loops_dropped": [{}]}
+    report["refine"] |= {"settled": False, "rounds": 20}
+    text = summary(report)
     assert "recalled 0 more that agree with the merged map (not settled after 20 rounds)" in text
     assert "dropped 1 closures, and 1 loops inside the maps, that do not" in text
 

@@ -72,3 +72,15 @@ def test_networkx():
         nx.to_numpy_array(to_networkx(adjacency(EDGES))), adjacency(EDGES)
     )
     assert to_networkx(np.zeros((3, 3), bool)).number_of_nodes() == 3
+
+
+@pytest.mark.parametrize("gate", [float("nan"), -1.0, 1j, [1.0, 2.0, 3.0], None, "11", True])
+def test_a_gate_that_is_no_gate(gate):
+    with pytest.raises(InputError, match=r"^gate: "):
+        consistency_graph(SQUARED, gate)
+
+
+def test_distances_that_are_no_real_numbers():
+    for wrong in (SQUARED + 1j, np.ma.masked_array(SQUARED, SQUARED > 1.0), None, [["a"]]):
+        with pytest.raises(InputError, match=r"squared: .* given, expected real numbers"):
+            consistency_graph(wrong, 1.0)  # type: ignore[arg-type]

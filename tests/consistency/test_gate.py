@@ -49,3 +49,9 @@ def test_confidence_is_a_probability(confidence):
 def test_degrees_of_freedom():
     with pytest.raises(InputError, match="dof: 0"):
         chi2_gate(0.99, 0)
+
+
+@pytest.mark.parametrize("dof", [float("inf"), float("nan"), 0, -1.0, 1j, None, "3"])
+def test_degrees_of_freedom_that_are_none(dof):
+    with pytest.raises(InputError, match=r"^dof: "):
+        chi2_gate(0.99, dof)

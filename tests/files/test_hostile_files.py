@@ -1,6 +1,7 @@
 """Files that never end, grow, or take long to be refused; names that comments cannot hold."""
 
 import gzip
+import io
 import os
 import threading
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
-from pcm_jax.files import read_graph, source, write_candidates, write_g2o
+from pcm_jax.files import read_graph, write_candidates, write_g2o
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 
 UNIT = "1 0 0 1 0 1"
@@ -23,17 +24,16 @@ def test_pipes_and_devices(tmp_path):
             read_graph(path)
 
 
-def test_what_a_compressed_file_grows_to_is_bounded(tmp_path, monkeypatch):
+def test_what_a_compressed_file_grows_to_is_bounded(tmp_path):
     path = tmp_path / "bomb.g2o.gz"
     with gzip.open(path, "wb", 1) as file:
         file.write(b"\0" * (1 << 20) * 3)
     with pytest.raises(FileFormatError, match=r"bomb.g2o.gz:1: binary data \(a zero byte\)"):
         read_graph(path)
-    monkeypatch.setattr(source, "LIMIT", 3 << 20)
     with gzip.open(path, "wb", 1) as file:
         file.write(b"FIX 1\n" * (1 << 20))
     with pytest.raises(FileFormatError, match=r"bomb.g2o.gz: more than 3 MiB of text"):
-        read_graph(path)
+        read_graph(path, byte_limit=3 << 20)
 
 
 def test_a_first_word_a_line_is_no_pose_graph(tmp_path):
@@ -173,3 +173,51 @@ def test_threads_that_write_one_path(tmp_path, make_robots):
     for thread in threads:
         thread.join()
     assert not problems
+
+
+def test_what_a_file_grows_to_is_bounded_by_an_option(tmp_path):
+    path = tmp_path / "long.g2o.gz"
+    with gzip.open(path, "wb", 1) as file:
+        file.write(b"VERTEX_SE2 0 0 0 0\n" + b"FIX 00\n" * 1000)
+    with pytest.raises(FileFormatError, match=r"long.g2o.gz: more than 5000 bytes of text \(byte_"):
+        read_graph(path, byte_limit=5000)
+    assert read_graph(path, byte_limit=7019).maps[0].num_poses == 1
+    for wrong in (0, 1.5, None, "1"):
+        with pytest.raises(InputError, match=r"byte_limit: .* given, expected bytes, at least 1"):
+            read_graph(path, byte_limit=wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_pipe_that_is_asked_for(packed, monkeypatch):
+    text = f"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 {UNIT}\n".encode()
+    data = gzip.compress(text) if packed else text
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+    assert read_graph("-").maps[0].num_edges == 1
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(data)))
+    with pytest.raises(FileFormatError, match="-: more than 20 bytes of text"):
+        read_graph("-", byte_limit=20)
+    monkeypatch.setattr("sys.stdin", None)
+    with pytest.raises(FileFormatError, match="-: standard input is closed"):
+        read_graph("-")
+
+
+def test_a_table_of_ids_that_was_changed(tmp_path):
+    write_g2o(
+        tmp_path / "run.g2o", robots(("left", "right"), ([10, 11], [20, 21])), ids="sequential"
+    )
+    table = tmp_path / "run.ids.csv"
+    table.write_text(table.read_text().replace("right", "wrong"))
+    with pytest.raises(FileFormatError, match=r"run.ids.csv: changed since .*run.g2o was written"):
+        read_graph(tmp_path / "run.g2o")
+
+
+def test_digits_of_other_scripts_are_no_numbers(write):
+    path = write("VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 \u0661 0 0", f"EDGE_SE2 0 1 1 0 0 {UNIT}")
+    with pytest.raises(FileFormatError, match=r":2: '\u0661' given, expected a number"):
+        read_graph(path)
+
+
+def test_a_trajectory_without_sigmas_is_refused_before_it_is_read(write):
+    path = write("0 0 0 0 0 0 0 1", "1 not a number", name="a.txt")
+    with pytest.raises(FileFormatError, match=r"a.txt:1: a trajectory says nothing of its steps'"):
+        read_graph(path)

@@ -87,7 +87,7 @@ def test_without_its_table_a_sequential_file_is_one_robot(tmp_path, make_robots)
         ("vertex,id\n", "ids.csv:1: expected the columns vertex,robot,id"),
         ("vertex,robot,id\n0,a\n", "ids.csv:2: 2 columns, expected 3"),
         ("vertex,robot,id\n0,a,x\n", "ids.csv:2: 'x' given, expected an integer id"),
-        ("vertex,robot,id\n0,a,0\n1,a,1\n", "edge to pose 2, but no file given"),
+        ("vertex,robot,id\n0,a,0\n1,a,1\n", "ids.csv: changed since"),
     ],
 )
 def test_a_bad_table(tmp_path, make_robots, text, message):

@@ -11,8 +11,8 @@ from pcm_jax.errors import InputError
 from pcm_jax.experiments import Method, compare_methods
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import covariance, optimize
-from pcm_jax.pipeline import merge, select, weigh
-from pcm_jax.selection import select_from, select_within
+from pcm_jax.pipeline import merge, select, select_within, weigh
+from pcm_jax.selection import select_from
 from pcm_jax.simulation import simulate_city
 
 
@@ -49,7 +49,7 @@ def calls(monkeypatch):
     stage = importlib.import_module("pcm_jax.pipeline.weigh")
     counter = Calls(monkeypatch)
     counter.watch(stage, "optimize")
-    counter.watch(stage, "squared_on_host")
+    counter.watch(stage, "weighed_on_host")
     counter.watch(stage, "stream_from_covariances")
     counter.watch(covariance, "covariance_factor")
     return counter
@@ -58,7 +58,7 @@ def calls(monkeypatch):
 def test_a_map_is_optimised_and_factorised_once(world, calls):
     found = weigh(world.graph)
     assert len(found.pairs) == 3
-    assert calls.counts == {"optimize": 3, "covariance_factor": 3, "squared_on_host": 3}
+    assert calls.counts == {"optimize": 3, "covariance_factor": 3, "weighed_on_host": 3}
 
 
 def test_asking_again_costs_no_optimisation_no_marginals_and_no_q(evidence, calls):

@@ -19,7 +19,7 @@ from pcm_jax.mapping import optimize
 from pcm_jax.mapping._linearization import retract, whitened_residual
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
-from pcm_jax.merging._alignment import aligned_anchors
+from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.joint import joint_graph, rebuild
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import simulate_city, simulate_sessions

@@ -164,3 +164,11 @@ def test_edges_of_the_domain():
     assert single.dtype == jnp.float32
     with pytest.raises(InputError, match=r"squared: shape \(2, 3\), expected \[m, m\]"):
         soft_select(np.zeros((2, 3)), GATE, temperature=1.0)
+
+
+@pytest.mark.parametrize("wrong", [0.0, float("nan"), float("inf"), -1.0, 1e-300, 1j, [1.0], None])
+@pytest.mark.parametrize("name", ["gate", "temperature"])
+def test_gates_and_temperatures_that_are_none(name, wrong):
+    given = {"gate": 11.0, "temperature": 1.0} | {name: wrong}
+    with pytest.raises(InputError, match=f"^{name}: "):
+        soft_select(jnp.zeros((2, 2)), given["gate"], temperature=given["temperature"])

@@ -14,13 +14,21 @@ import jaxlie
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_choice, check_class
 from pcm_jax.files import coordinates
 from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tagged import read_tagged, tagged_lines
 from pcm_jax.files.names import stem_of
 from pcm_jax.files.output import write_text
-from pcm_jax.files.scopes import FRAME_LINE, ORDER_LINE, ROBOT_LINE, TABLE_COLUMNS, TABLE_LINE
+from pcm_jax.files.scopes import (
+    FRAME_LINE,
+    ORDER_LINE,
+    ROBOT_LINE,
+    TABLE_COLUMNS,
+    TABLE_DIGEST_LINE,
+    TABLE_LINE,
+    table_digest,
+)
 from pcm_jax.graph import symbols
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -56,8 +64,9 @@ def write_g2o(
             name that is not printable text, and for "original" where ids do not fit a symbol key
             (0 … 2^56 − 1) or there are more robots than letters (94).
     """
-    if ids not in IDS:
-        raise InputError(f"ids: {ids!r} given, expected one of {IDS}")
+    check_choice("ids", ids, IDS)
+    check_class("path", path, "a path", str, PathLike)
+    check_class("graph", graph, "a MultiRobotGraph or PoseGraph", MultiRobotGraph, PoseGraph)
     if isinstance(graph, PoseGraph):
         graph = MultiRobotGraph((graph,))
     _check_writable(graph)
@@ -70,8 +79,12 @@ def write_g2o(
                 f"path: {table.name!r} cannot be named in a comment, expected printable text"
                 " without space around it"
             )
-        write_text(table, _id_table(graph.maps))
-        header = [TABLE_LINE.format(file=table.name)]
+        text = _id_table(graph.maps)
+        write_text(table, text)
+        header = [
+            TABLE_LINE.format(file=table.name),
+            TABLE_DIGEST_LINE.format(digest=table_digest(text)),
+        ]
     else:
         header, keys = original_keys(graph.maps, own_name=stem_of(str(path)))
     if any((np.diff(pose_graph.ids) < 0).any() for pose_graph in graph.maps):

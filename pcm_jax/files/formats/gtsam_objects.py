@@ -17,7 +17,7 @@ import jaxlie
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError, InputWarning
+from pcm_jax.errors import InputError, InputWarning, check_class
 from pcm_jax.files.assembly import graph_of
 from pcm_jax.files.formats.g2o import check_group, closure_keys, original_keys
 from pcm_jax.files.pose_file import Lines, PoseFile, Reading
@@ -56,6 +56,7 @@ def to_gtsam(graph: MultiRobotGraph | PoseGraph) -> tuple[Any, Any]:
     Raises:
         InputError: without GTSAM, for another group, and for ids that fit no key.
     """
+    check_class("graph", graph, "a MultiRobotGraph or PoseGraph", MultiRobotGraph, PoseGraph)
     gtsam = _gtsam()
     if isinstance(graph, PoseGraph):
         graph = MultiRobotGraph((graph,))
@@ -101,6 +102,8 @@ def from_gtsam(
         InputWarning: for factors left out, counted by type.
     """
     gtsam = _gtsam()
+    check_class("factors", factors, "a NonlinearFactorGraph", gtsam.NonlinearFactorGraph)
+    check_class("values", values, "GTSAM's Values", gtsam.Values)
     chosen = [(index, factors.at(index)) for index in range(factors.size())]
     chosen = [(index, factor) for index, factor in chosen if factor is not None]
     for kind in _kinds(gtsam):

@@ -17,7 +17,7 @@ import jaxlie
 import numpy as np
 
 from pcm_jax import lie
-from pcm_jax.errors import FileFormatError
+from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files._json import Member, begins_object, load
 from pcm_jax.files.coordinates import columns, inverted, parameters
 from pcm_jax.files.formats._registry import Format, register
@@ -239,6 +239,13 @@ def write_jrl(path: str | PathLike[str], graph: MultiRobotGraph) -> None:
         InputError: for another group, and ids that fit no symbol key.
     """
     check_group(graph)
+    rank = graph.closures.rank
+    if (rank < graph.tangent_dim).any():
+        row = int(np.argmax(rank < graph.tangent_dim))
+        raise InputError(
+            f"closures[{row}]: information of rank {rank[row]} has no covariance, which JRL holds;"
+            " expected full rank"
+        )
     header, keys = original_keys(graph.maps, own_name=stem_of(str(path)))
     if len(graph.maps) == 1 and not symbols.are_symbols(keys[0]):
         keys = [symbols.keys("a", symbols.indices_of(keys[0]))]

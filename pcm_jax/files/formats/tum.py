@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pcm_jax import lie
+from pcm_jax.arrays import as_real
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import coordinates
 from pcm_jax.files.formats._registry import Format, register
@@ -29,7 +30,7 @@ from pcm_jax.files.output import write_text
 from pcm_jax.files.pose_file import PoseFile, Reading
 from pcm_jax.files.source import Source
 from pcm_jax.files.text import Rows, csv_rows, table_rows
-from pcm_jax.files.trajectories import trajectory_file
+from pcm_jax.files.trajectories import check_sigmas, trajectory_file
 from pcm_jax.graph import checked
 from pcm_jax.graph.pose_graph import PoseGraph
 
@@ -111,7 +112,8 @@ def write_trajectory(path: str | PathLike[str], poses: Any, *, timestamps: Any =
     count = len(parameters)
     if timestamps is None and isinstance(poses, PoseGraph) and poses.stamps is not None:
         timestamps = poses.stamps
-    seconds = np.arange(count, dtype=np.float64) if timestamps is None else np.asarray(timestamps)
+    timestamps = np.arange(count) if timestamps is None else timestamps
+    seconds = as_real(timestamps, "timestamps")
     if seconds.shape != (count,):
         raise InputError(f"timestamps: shape {seconds.shape} given, expected ({count},)")
     rows = np.concatenate([seconds[:, None], coordinates.columns(parameters)], axis=1)
@@ -157,6 +159,7 @@ def _is_euroc(source: Source) -> float:
 
 
 def _read_tum(source: Source, reading: Reading) -> PoseFile:
+    check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(8, COLUMNS, len(source.lines))
     seconds, poses = _tum(rows)
@@ -164,6 +167,7 @@ def _read_tum(source: Source, reading: Reading) -> PoseFile:
 
 
 def _read_kitti(source: Source, reading: Reading) -> PoseFile:
+    check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(12, "the upper 3 x 4 of a matrix, row by row", len(source.lines))
     matrices = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -173,6 +177,7 @@ def _read_kitti(source: Source, reading: Reading) -> PoseFile:
 
 
 def _read_euroc(source: Source, reading: Reading) -> PoseFile:
+    check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(len(rows.first), "timestamp,x,y,z,qw,qx,qy,qz,…", len(source.lines))
     values = rows.floats(1, 8)

@@ -33,7 +33,7 @@ from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.optimization import host_arrays, problem_of
-from pcm_jax.merging._alignment import aligned_anchors
+from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.merging.joint import cut_apart, joint_graph
 from pcm_jax.merging.robust.methods import (

@@ -166,6 +166,7 @@ class JointSets:
 
     def __init__(self, evidence: PairEvidence, rows: Int[np.ndarray, " k"], gate: float):
         self.stacked: StackedClosures = stack_closures(evidence, rows)
+        self.stacked.check_all_said("method 'jcbb'")
         self.largest = quantiles(gate, self.stacked.dim, len(rows))
 
     def passes(self, members: Any) -> bool:

@@ -1,5 +1,6 @@
 """`select_within` and `clean_maps`, on simulated and real maps of one robot."""
 
+import dataclasses
 import lzma
 import math
 
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 
 from pcm_jax import lie
-from pcm_jax.consistency import chi2_gate
+from pcm_jax.consistency import chi2_gate, odometry_edges
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
-from pcm_jax.selection import clean_maps, select_from, select_within
+from pcm_jax.pipeline import clean_maps, select_within
+from pcm_jax.selection import select_from
 from pcm_jax.simulation import simulate_city
 
 POSES, RANDOM, ALIASED = 200, 30, 200
@@ -104,7 +106,7 @@ def test_the_parts_fit_together(selection):
     own = np.flatnonzero(selection.own_squared <= selection.gate)
     chosen = select_from(selection.squared[np.ix_(own, own)], selection.gate)
     np.testing.assert_array_equal(np.flatnonzero(selection.accepted), own[chosen])
-    assert list(selection.seconds) == ["consistency", "clique"]
+    assert list(selection.seconds) == ["consistency", "clique", "chance"]
     assert all(seconds > 0 for seconds in selection.seconds.values())
 
 
@@ -181,7 +183,7 @@ def test_a_broken_chain_is_named_before_any_work(dirty, monkeypatch):
         information=np.tile(np.eye(3), (4, 1, 1)),
         name="dave",
     )
-    monkeypatch.setattr("pcm_jax.selection.within_one_map.select_within", pytest.fail)
+    monkeypatch.setattr("pcm_jax.pipeline.within.select_within", pytest.fail)
     with pytest.raises(InputError, match="map 'dave': no edge joins poses dave:1 and dave:2"):
         clean_maps(MultiRobotGraph((dirty[0], looped)))
 
@@ -205,3 +207,54 @@ def test_kitti_00(shared_data):
     assert (right.sum(), len(right)) == (120, 337)
     np.testing.assert_array_equal(selection.accepted, right)
     assert selection.optimal
+
+
+@pytest.fixture(scope="module", params=[5.0, 15.0])
+def too_sure(request, dirty):
+    """The same map, odometry's standard deviations stated too small, without the aliased group."""
+    graph, right = dirty
+    edges = np.array([int(text.split()[1]) for text in graph.source])
+    graph = graph.with_edges(edges < right.sum() + RANDOM)
+    right = right[edges < right.sum() + RANDOM]
+    information = np.array(graph.information)
+    information[odometry_edges(graph)] *= request.param**2
+    return dataclasses.replace(graph, information=information), right, request.param
+
+
+def test_odometry_that_is_too_sure_is_found_out(too_sure):
+    graph, right, factor = too_sure
+    found = select_within(graph)
+    assert 0.6 < found.odometry_scale / factor < 1.6
+    assert not found.kept[~right].any()
+    assert found.kept[right].mean() > 0.85
+    assert found.graph.num_edges == found.kept.sum()
+    np.testing.assert_array_equal(found.graph.information, graph.information[found.kept])
+    assert f"were its errors {found.odometry_scale:.3g} times those stated" in found.verdict.why
+
+
+def test_the_scale_can_be_given(too_sure):
+    graph, right, factor = too_sure
+    given = select_within(graph, odometry_scale=factor)
+    assert given.odometry_scale == factor
+    assert given.kept[right].mean() > 0.85
+    stated = select_within(graph, odometry_scale=1.0, minimum_inliers=20)
+    assert not stated.accepted.any()
+    assert ("everything contradicts odometry" in stated.verdict.why) == (factor == 15.0)
+
+
+def test_a_group_of_false_closures_is_no_scale(dirty, selection):
+    """200 that say the same wrong motion would agree with odometry five times as bad."""
+    assert selection.odometry_scale == 1.0
+    assert "as stated" in selection.verdict.why
+
+
+def test_numbers_that_cannot_be_meant(dirty):
+    for options, message in (
+        ({"odometry_scale": 0.0}, "odometry_scale: 0.0, expected a factor above 0"),
+        ({"significance": 1.0}, "significance: 1.0, expected"),
+        ({"separation": -1.0}, "separation: -1.0, expected metres"),
+        ({"minimum_inliers": "luck"}, "minimum_inliers: 'luck'"),
+        ({"minimum_inliers": 2, "significance": 0.1}, "significance: 0.1 given with"),
+    ):
+        with pytest.raises(InputError, match=message):
+            select_within(dirty[0], **options)

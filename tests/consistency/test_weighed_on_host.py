@@ -5,7 +5,7 @@ import pytest
 
 from pcm_jax import squared_mahalanobis, weigh
 from pcm_jax.compiling import ALWAYS, Thrift
-from pcm_jax.consistency import mahalanobis, squared_on_host
+from pcm_jax.consistency import mahalanobis, weighed_on_host
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 
@@ -14,12 +14,12 @@ def test_equals_the_compiled_kernel(simulate, monkeypatch):
     world = simulate(seed=3, poses=40, inliers=6, aliased_groups=0, random=90)
     problem = weigh(world.graph).pairs[0].problem()
     monkeypatch.setattr(mahalanobis, "_thrift", Thrift(1e9))
-    ours = squared_on_host(problem)
+    ours = weighed_on_host(problem).squared
     assert type(ours) is np.ndarray and ours.shape == (96, 96)
     expected = np.asarray(squared_mahalanobis(problem))
     np.testing.assert_allclose(ours, expected, rtol=1e-11, atol=1e-11)
     monkeypatch.setenv(ALWAYS, "always")
-    np.testing.assert_array_equal(squared_on_host(problem), expected)
+    np.testing.assert_array_equal(weighed_on_host(problem).squared, expected)
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -1,0 +1,86 @@
+"""Ctrl-C, closed streams, and text that a stream cannot encode."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from pcm_jax.cli import entry, main
+
+EDGES = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
+
+SWALLOWED = """
+import signal, sys
+from pcm_jax.cli import console
+from pcm_jax.cli import formats
+
+class Swallows:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)  # what is raised here is told and dropped
+
+def run(options):
+    Swallows()
+    print("went on")
+    while {forever}:
+        pass
+
+formats.run = run
+sys.argv = ["pcm-jax", "formats"]
+console()
+"""
+
+
+@pytest.mark.parametrize("forever", [False, True])
+def test_an_interrupt_that_a_callback_swallows_is_heeded(forever):
+    code = SWALLOWED.format(forever=forever)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr, done.stdout) == (130, "interrupted\n", "went on\n")
+
+
+def test_an_interrupt_is_one_line_and_restores_what_was_there(monkeypatch, capsys):
+    before = signal.getsignal(signal.SIGINT), sys.unraisablehook
+
+    def imported(name):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError("NumPy says that it is not installed well") from None
+
+    monkeypatch.setattr(entry.importlib, "import_module", imported)
+    assert main(["formats"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+
+
+def test_names_that_standard_output_cannot_encode(tmp_path):
+    path = tmp_path / "u.g2o"
+    path.write_text(EDGES + "# pcm_jax robot - id Z\u00fcrich\n", encoding="utf-8")
+    ascii_only = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(
+        [sys.executable, "-m", "pcm_jax", "inspect", str(path)],
+        check=False,
+        env=ascii_only,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and "Z\\xfcrich" in done.stdout, done.stderr
+
+
+def test_a_path_that_is_no_text(tmp_path, capsys):
+    name = os.fsdecode(bytes(tmp_path) + b"/x\xff\n.g2o")
+    assert main(["inspect", name]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ") and line.endswith("there is no such file")
+
+
+@pytest.mark.parametrize("closed", ["stdout", "stderr"])
+def test_streams_that_are_closed(closed, tmp_path, monkeypatch):
+    path = tmp_path / "a.g2o"
+    path.write_text(EDGES)
+    monkeypatch.setattr(sys, closed, None)
+    assert main(["inspect", str(path)]) == 0
+    assert main(["inspect", str(tmp_path / "none.g2o")]) == 2
+    assert getattr(sys, closed) is None

@@ -1,0 +1,208 @@
+"""Factors on information: the likelihood they maximise, worlds whose noise is known, words."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import pcm_jax
+from pcm_jax import lie
+from pcm_jax.errors import InputError
+from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.integrity.calibration import Factor, closing_edges, scaled_graph
+from pcm_jax.integrity.variance_components import (
+    Part,
+    scaled_information,
+    variance_components,
+)
+from pcm_jax.mapping import optimize
+from pcm_jax.mapping._linearization import linearize
+from pcm_jax.mapping.least_squares import padded_edges
+from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.simulation import simulate_city
+
+STATED = np.array([4.0, 0.25, 9.0, 0.5])
+"""Factors by which the worlds below understate (or overstate) their information."""
+
+
+@pytest.fixture(scope="module")
+def city():
+    return simulate_city(seed=1, poses=120)
+
+
+@pytest.fixture(scope="module")
+def misstated(city):
+    return scaled_graph(city.graph, 1.0 / STATED)
+
+
+@pytest.fixture(scope="module")
+def calibration(city, misstated):
+    return pcm_jax.calibrate(misstated, city.is_true)
+
+
+def restricted_log_likelihood(graph, closing, variance):
+    """The logarithm of the density of all contrasts that the poses do not enter; dense."""
+    tail, head, measurement, information = host_arrays(graph)
+    identity = np.broadcast_to(np.eye(3), information.shape)
+    edges = padded_edges(tail, head, measurement, identity, size=len(tail))
+    linear = linearize(lie.as_numpy(graph.poses), edges)
+    jacobian = np.zeros((3 * len(tail), 3 * graph.num_poses))
+    for part, ends in ((linear.tail, tail), (linear.head, head)):
+        for edge, pose in enumerate(ends):
+            rows, columns = (slice(3 * k, 3 * k + 3) for k in (edge, pose))
+            jacobian[rows, columns] += np.asarray(part)[:, :, edge]
+    _, _, right = np.linalg.svd(jacobian[:, 3:].T)
+    contrasts = right[3 * graph.num_poses - 3 :]
+    scaled = np.linalg.inv(scaled_information(information, closing, 1.0 / variance))
+    total = np.zeros((3 * len(tail),) * 2)
+    for edge, block in enumerate(scaled):
+        total[3 * edge : 3 * edge + 3, 3 * edge : 3 * edge + 3] = block
+    covariance = contrasts @ total @ contrasts.T
+    misfit = contrasts @ np.asarray(linear.residual).T.ravel()
+    _, volume = np.linalg.slogdet(covariance)
+    return -0.5 * (volume + misfit @ np.linalg.solve(covariance, misfit))
+
+
+def test_no_other_factors_are_likelier():
+    one = simulate_city(seed=4, poses=80).graph.maps[0]
+    closing = closing_edges(one)
+    one = optimize(one).graph
+    found = variance_components([Part(one, closing, closing & False)])
+    assert found.converged
+    best = restricted_log_likelihood(one, closing, found.variance)
+    for kind in range(4):
+        for times in (0.5, 2.0):
+            other = found.variance.copy()
+            other[kind] *= times
+            assert restricted_log_likelihood(one, closing, other) < best
+
+
+def test_known_factors_lie_in_their_intervals(calibration):
+    assert calibration.components.converged
+    for factor, stated in zip(calibration.factors, STATED, strict=True):
+        low, high = factor.interval
+        assert 0.9 * low < stated < 1.1 * high
+        assert 0.7 < factor / stated < 1.4
+
+
+def test_intervals_cover():
+    """All four, of 20 worlds; benchmarks.calibration_coverage has 200."""
+    covered = []
+    for seed in range(20):
+        one = simulate_city(seed=100 + seed, poses=60).graph.maps[0]
+        closing = closing_edges(one)
+        found = variance_components([Part(optimize(one).graph, closing, closing & False)])
+        covered.append((found.low <= 1.0) & (found.high >= 1.0))
+    assert 0.8 <= np.mean(covered) <= 1.0
+
+
+def test_applied_factors_leave_nothing_to_find(city, misstated, calibration):
+    applied = calibration.apply(misstated)
+    again = pcm_jax.calibrate(applied, city.is_true)
+    for factor in again.factors:
+        assert factor == pytest.approx(1.0, abs=0.02)
+    one = misstated.maps[0]
+    alone = calibration.apply(one)
+    np.testing.assert_array_equal(alone.information, applied.maps[0].information)
+    closing = closing_edges(one)
+    ratio = np.asarray(alone.information)[:, 2, 2] / np.asarray(one.information)[:, 2, 2]
+    np.testing.assert_allclose(ratio[closing], calibration.closures.rotation)
+    np.testing.assert_allclose(ratio[~closing], calibration.odometry.rotation)
+
+
+def test_maps_are_judged_as_stated(misstated, calibration):
+    for one, chi2 in zip(misstated.maps, calibration.map_consistency, strict=True):
+        solved = optimize(one)
+        freedom = 3 * (one.num_edges - one.num_poses + 1)
+        assert chi2 == pytest.approx(2.0 * solved.cost / freedom, rel=1e-6)
+
+
+def test_closures_are_selected_where_none_are_given(city, misstated):
+    found = pcm_jax.calibrate(pcm_jax.weigh(misstated))
+    assert not found.accepted[~city.is_true].any()
+    assert found.accepted[city.is_true].mean() > 0.8
+    for factor, stated in zip(found.factors, STATED, strict=True):
+        assert 0.6 < factor / stated < 1.6
+
+
+def test_far_too_small_deviations_widen_the_gate(city):
+    """A tenth of the deviations: two right closures hardly ever agree as stated."""
+    sure = scaled_graph(city.graph, np.full(4, 100.0))
+    chains = tuple(one.with_edges(~closing_edges(one)) for one in sure.maps)
+    found = pcm_jax.calibrate(MultiRobotGraph(chains, sure.closures))
+    assert found.widened > 1.0
+    assert found.accepted[city.is_true].mean() > 0.8
+    assert not found.accepted[~city.is_true].any()
+    assert "times larger" in str(found)
+    assert "too small" in str(found)
+    assert found.map_consistency == (None, None)
+
+
+def test_false_loops_are_left_out():
+    one = simulate_city(seed=2, poses=100).graph.maps[0]
+    rng = np.random.default_rng(0)
+    false = 30
+    ends = rng.choice(np.argwhere(np.triu(np.ones((100, 100)), 20)), false).T
+    wrong = lie.exp(one.group, rng.uniform(-5.0, 5.0, (false, 3)))
+    information = np.asarray(one.information)
+    dirty = pcm_jax.PoseGraph.from_arrays(
+        poses=one.poses,
+        tail=np.append(one.tail, ends[0]),
+        head=np.append(one.head, ends[1]),
+        measurement=lie.concatenate([lie.as_numpy(one.measurement), wrong]),
+        information=np.concatenate([information, information[:false]]),
+    )
+    found = pcm_jax.calibrate(dirty)
+    assert false <= found.left_out <= false + 15
+    for factor in found.factors:
+        assert 0.5 < factor < 2.0
+
+
+def test_words(calibration):
+    text = str(calibration)
+    assert text.startswith("odometry: translation errors are stated ")
+    assert "rotation errors are stated" in text
+    assert "too small" in text
+    assert repr(calibration).startswith("Calibration(by ")
+    told = calibration.as_dict()
+    assert told["odometry"]["translation"]["factor"] == calibration.odometry.translation
+    assert told["advice"] == calibration.advice()
+
+
+def test_the_square_root_is_recognised(city):
+    """Information that holds its square root: the factor is the number that stands there."""
+    information = np.sqrt(np.asarray(city.graph.maps[0].information)[0].diagonal())
+    rooted = scaled_graph(city.graph, 1.0 / information[[0, 2, 0, 2]])
+    found = pcm_jax.calibrate(rooted, city.is_true)
+    assert "--information sqrt" in str(found)
+    assert "--information sqrt" not in str(pcm_jax.calibrate(city.graph, city.is_true))
+
+
+def test_what_cannot_be_known_is_said():
+    one = simulate_city(seed=0, poses=30).graph.maps[0]
+    chain = one.with_edges(~closing_edges(one))
+    with pytest.raises(InputError, match="no map has a loop"):
+        pcm_jax.calibrate(chain)
+    looped = one.with_edges(np.append(np.flatnonzero(~closing_edges(one)), len(one.tail) - 1))
+    found = pcm_jax.calibrate(looped)
+    assert not found.closures.translation.known
+    assert found.closures.translation == 1.0
+    assert "cannot be told" in str(found)
+
+
+def test_bad_arguments(city):
+    with pytest.raises(InputError, match="graph: str given"):
+        pcm_jax.calibrate("graph")
+    with pytest.raises(InputError, match="accepted: bool"):
+        pcm_jax.calibrate(city.graph, np.ones(3, bool))
+    with pytest.raises(InputError, match="accepted: int"):
+        pcm_jax.calibrate(city.graph, [10**6])
+
+
+def test_a_factor_is_a_number():
+    factor = Factor(2.0, (1.5, 2.5))
+    assert factor * 2 == 4.0
+    for same in (copy.deepcopy(factor), pickle.loads(pickle.dumps(factor))):
+        assert (same, same.interval) == (2.0, (1.5, 2.5))
+    assert repr(Factor(1.0, (0.0, np.inf))) == "unknown"
