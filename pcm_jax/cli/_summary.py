@@ -23,7 +23,7 @@ def summary(report: dict[str, Any]) -> str:
     if report.get("input", {}).get("cuts"):
         parts.insert(0, "\n".join(report["input"]["cuts"]))
     if report.get("calibration"):
-        parts.append("\n".join(report["calibration"]["advice"]))
+        parts.append(report["calibration"]["advice"])
     if "cleaned" in report:
         parts.insert(0, _maps(report["cleaned"]))
     if not any(pair["accepted"] for pair in report["robot_pairs"]):

@@ -57,7 +57,8 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     seconds = {"read": time.perf_counter() - start}
     result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
     report = {**result.report(), **cleaned, "input": given.as_dict()}
-    report["calibration"] = _calibration(options, given.graph, result, progress)
+    if options.calibrate:
+        report["calibration"] = _calibration(given.graph, result, progress)
     report["hints"] = [
         *_mistakes(result, progress),
         *_hints(options, given.graph, report, progress),
@@ -65,12 +66,8 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
 
 
-def _calibration(
-    options: Any, graph: Any, result: Any, progress: Progress
-) -> dict[str, Any] | None:
-    """The factors on stated information by the closures that were accepted, where asked for."""
-    if not options.calibrate:
-        return None
+def _calibration(graph: Any, result: Any, progress: Progress) -> dict[str, Any]:
+    """The factors on stated information, by closures that agree, or those that were given."""
     from pcm_jax.pipeline import calibrate
 
     progress("calibrating")

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import chdtri
 
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity.variance_components import Components, scaled_information
@@ -18,6 +19,10 @@ ALIKE = 1.25
 """Times, up or down: a factor on the information that is no news."""
 NEAR_IT = 1.1
 """Times, beyond the interval's ends: a factor is the information itself, so that is a root."""
+
+
+SHOWN = 200
+"""Quantiles of a kind."""
 
 
 class Factor(float):
@@ -159,8 +164,19 @@ class Calibration:
             "closures": of(self.closures),
             "map_consistency": list(self.map_consistency),
             "closures_used": self.used,
-            "advice": self.advice(),
+            "advice": str(self),
+            "quantiles": self.quantiles(),
         }
+
+    def quantiles(self) -> dict[str, dict[str, list[float]]]:
+        """Quantiles of chi-squared, and of squared residuals as stated; of many some of them."""
+        drawn = {}
+        names = ("odometry", "closures")
+        for name, squared in zip(names, self.components.as_stated, strict=True):
+            if len(squared):
+                expected, observed = quantiles_of(squared, self.tangent_dim)
+                drawn[name] = {"expected": expected.tolist(), "observed": observed.tolist()}
+        return drawn
 
     def _is_square_root(self) -> bool:
         """True where every factor that is known may be the information itself, and none is 1."""
@@ -171,6 +187,20 @@ class Calibration:
             if low <= 1.0 <= high or not low / NEAR_IT <= own <= high * NEAR_IT:
                 return False
         return bool(known)
+
+
+def quantiles_of(
+    squared: Float[np.ndarray, " n"], d: int
+) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
+    """Quantiles of chi-squared and of some numbers, ascending; of many some, with the ends.
+
+    Args:
+        squared: the numbers.
+        d: degrees of freedom.
+    """
+    count = len(squared)
+    rank = np.unique(np.round(np.linspace(0, count - 1, min(count, SHOWN))).astype(int))
+    return chdtri(d, 1.0 - (rank + 0.5) / count), np.sort(squared)[rank]
 
 
 def closing_edges(pose_graph: PoseGraph) -> Bool[np.ndarray, " e"]:

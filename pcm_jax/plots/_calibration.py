@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from scipy.special import chdtri
 
 from pcm_jax.integrity import Calibration
+from pcm_jax.integrity.calibration import quantiles_of
 from pcm_jax.plots import style
 from pcm_jax.plots.style import axes_or_new, legend_below
 
-MOST = 400
-"""Points of a line."""
 TINY = 1e-6
 """Squared distances below which a residual is drawn as this."""
 
@@ -39,12 +36,12 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
         for values, when in both:
             if not len(values[row]):
                 continue
-            expected, found = _quantiles(values[row], d)
+            expected, found = quantiles_of(values[row], d)
             look = style.series_style(row, 2)
             filled = look["color"] if when == "calibrated" else "none"
             ax.plot(
                 expected,
-                found,
+                np.maximum(found, TINY),
                 linestyle="none",
                 marker=look["marker"],
                 markersize=4.0,
@@ -59,11 +56,3 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
     ax.set_ylabel("squared residual")
     legend_below(ax, columns=2)
     return ax
-
-
-def _quantiles(squared: Float[np.ndarray, " n"], d: int) -> tuple[np.ndarray, np.ndarray]:
-    """Expected and found, ascending; of many some, the ends among them."""
-    count = len(squared)
-    rank = np.unique(np.round(np.linspace(0, count - 1, min(count, MOST))).astype(int))
-    expected = chdtri(d, 1.0 - (rank + 0.5) / count)
-    return expected, np.maximum(np.sort(squared)[rank], TINY)

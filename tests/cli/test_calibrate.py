@@ -44,7 +44,9 @@ def test_factors_and_advice_are_printed(run, city, tmp_path):
 def test_json(run, city):
     ran = run("calibrate", city / "graph.g2o", "--json")
     told = json.loads(ran.out)
-    assert list(told) == ["odometry", "closures", "map_consistency", "closures_used", "advice"]
+    assert list(told) == [
+        *("odometry", "closures", "map_consistency", "closures_used", "advice", "quantiles"),
+    ]
     low, high = told["closures"]["rotation"]["interval"]
     assert low < told["closures"]["rotation"]["factor"] < high
 
@@ -88,4 +90,4 @@ def test_a_merge_tells_its_calibration(run, city, tmp_path):
     assert ran.status == 0, ran.err
     written = json.loads(report.read_text())["calibration"]
     assert written["odometry"]["translation"]["factor"] > 0
-    assert all(line in ran.out for line in written["advice"])
+    assert written["advice"] in ran.out

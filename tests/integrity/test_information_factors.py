@@ -167,7 +167,12 @@ def test_words(calibration):
     assert repr(calibration).startswith("Calibration(by ")
     told = calibration.as_dict()
     assert told["odometry"]["translation"]["factor"] == calibration.odometry.translation
-    assert told["advice"] == calibration.advice()
+    assert told["advice"] == "\n".join(calibration.advice())
+    for kind in ("odometry", "closures"):
+        expected, observed = (told["quantiles"][kind][name] for name in ("expected", "observed"))
+        assert len(expected) == len(observed) <= 200
+        assert expected == sorted(expected)
+        assert observed == sorted(observed)
 
 
 def test_the_square_root_is_recognised(city):
