@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import MultiRobotGraph, PoseGraph, symbols
 
 FLAT = 1e-9  # metres, and parts of a unit quaternion, by which poses in a plane may leave it
@@ -50,8 +50,7 @@ def paired(estimate: Any, truth: Any, max_difference: float) -> tuple[tuple[Pair
     Raises:
         InputError: for other robots, poses of another group, or a robot without a matched pose.
     """
-    if not (np.isfinite(max_difference) and max_difference >= 0.0):
-        raise InputError(f"max_difference: {max_difference} given, expected seconds, 0 or more")
+    check_number("max_difference", max_difference, least=0.0)
     given, true = _as_graph(estimate, "estimate"), _as_graph(truth, "truth")
     places, by = _places(given.names, true.names)
     sides = _of_one_group(_poses_of(given, ()), _poses_of(true, true.truth or ()))

@@ -17,11 +17,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, check_choice, check_number
 from pcm_jax.evaluation._pairing import Pairing, paired
 from pcm_jax.evaluation.metrics import aligned
 
 ALIGNMENTS = ("joint", "each", None)
+SHORTEST = 1e-9  # metres of a step
 OPEN = 1e-13  # a singular value beside the largest, below which positions leave a rotation open
 
 
@@ -187,12 +188,10 @@ def trajectory_errors(
 
 
 def _check_options(align: str | None, delta: int, delta_metres: float | None) -> None:
-    if align not in ALIGNMENTS:
-        raise InputError(f"align: {align!r} given, expected 'joint', 'each' or None")
-    if not (delta >= 1 and float(delta).is_integer()):
-        raise InputError(f"delta: {delta} given, expected a number of frames, at least 1")
-    if delta_metres is not None and not (np.isfinite(delta_metres) and delta_metres > 0.0):
-        raise InputError(f"delta_metres: {delta_metres} given, expected metres above 0")
+    check_choice("align", align, ALIGNMENTS)
+    check_number("delta", delta, least=1, integer=True)
+    if delta_metres is not None:
+        check_number("delta_metres", delta_metres, least=SHORTEST)
 
 
 def _aligned(pairs: Sequence[Pairing], align: str | None) -> Sequence[Any]:

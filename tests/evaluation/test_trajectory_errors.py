@@ -278,12 +278,24 @@ POINT = graph(lie.take(corner(), np.zeros(3, int)))
         (LINE, LINE, {}, "positions of a lie on one line, which leaves the rotation open"),
         (POINT, POINT, {"align": "each"}, "positions of a lie on one point"),
         (corner(), ONE, {}, "estimate: SE2 given, expected pose graphs"),
-        (ONE, ONE, {"align": "first"}, "align: 'first' given, expected 'joint', 'each' or None"),
-        (ONE, ONE, {"delta": 0}, "delta: 0 given, expected a number of frames"),
+        (ONE, ONE, {"align": "first"}, "align: 'first' given, expected one of joint, each, None"),
+        (ONE, ONE, {"delta": 0}, "delta: 0 given, expected an integer of at least 1"),
+        (ONE, ONE, {"delta": 1.5}, "delta: 1.5 given, expected an integer"),
+        (ONE, None, {}, "truth: NoneType given, expected pose graphs"),
         (ONE, ONE, {"delta": 4}, "delta: 4 given, expected a step that some robot is longer than"),
         (ONE, ONE, {"delta_metres": 9.0}, "delta_metres: 9 given, expected a step"),
-        (ONE, ONE, {"delta_metres": 0.0}, "delta_metres: 0.0 given, expected metres above 0"),
-        (ONE, ONE, {"max_difference": -1}, "max_difference: -1 given, expected seconds"),
+        (
+            ONE,
+            ONE,
+            {"delta_metres": 0.0},
+            "delta_metres: 0.0 given, expected a number of at least 1e-09",
+        ),
+        (
+            ONE,
+            ONE,
+            {"max_difference": -1},
+            "max_difference: -1 given, expected a number of at least 0",
+        ),
     ],
 )
 def test_bad_input(estimate, truth, options, message):
