@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from pcm_jax import __version__
+from pcm_jax.cli._evaluate_arguments import add_evaluate_options
 
 DEMO_PICTURE = Path("pcm-jax-demo.png")
 
@@ -58,6 +59,7 @@ def parser() -> argparse.ArgumentParser:
     _inspect(commands)
     _explain(commands)
     _calibrate(commands)
+    _evaluate(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
     return top
@@ -209,6 +211,17 @@ def _explain(commands: Any) -> None:
     explain.add_argument("--json", action="store_true", help="print JSON instead of text")
 
 
+def _evaluate(commands: Any) -> None:
+    evaluate = _command(
+        commands,
+        "evaluate",
+        "Compare trajectories with the truth: absolute and relative errors (ATE, RPE) of each "
+        "robot and of all, as evo defines them.",
+    )
+    add_evaluate_options(evaluate)
+    _ids(evaluate)
+
+
 def _calibrate(commands: Any) -> None:
     calibrate = _command(
         commands,
@@ -330,12 +343,7 @@ def _reading(command: argparse.ArgumentParser) -> None:
         help="whether the files hold the information, its square root or its inverse (default: "
         "%(default)s)",
     )
-    command.add_argument(
-        "--ids",
-        choices=("auto", "per-file", "shared", "symbols"),
-        default="auto",
-        help="whose poses the files' ids are (default: %(default)s)",
-    )
+    _ids(command)
     command.add_argument(
         "--default-sigmas",
         "--sigmas",
@@ -358,4 +366,13 @@ def _reading(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument(
         "--ignore-priors", action="store_true", help="leave out poses measured by themselves"
+    )
+
+
+def _ids(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--ids",
+        choices=("auto", "per-file", "shared", "symbols"),
+        default="auto",
+        help="whose poses the files' ids are (default: %(default)s)",
     )

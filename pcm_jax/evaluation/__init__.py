@@ -1,6 +1,8 @@
 """Measures of a result: rates of closures, errors of maps and trajectories, and their table.
 
-    metrics   rates, map errors, trajectory errors
+    metrics        rates, map errors, trajectory errors
+    _pairing       estimated poses and their true ones
+    trajectories   absolute and relative errors of several robots, as evo defines them
 
 Their table, `comparison_table`, is one of `pcm_jax.tables`.
 """
@@ -19,10 +21,21 @@ from pcm_jax.evaluation.metrics import (
     translation_mse,
     true_positive_rate,
 )
+from pcm_jax.evaluation.trajectories import (
+    Errors,
+    RobotErrors,
+    Statistics,
+    TrajectoryErrors,
+    trajectory_errors,
+)
 from pcm_jax.tables import comparison_table
 
 __all__ = [
+    "Errors",
     "PoseError",
+    "RobotErrors",
+    "Statistics",
+    "TrajectoryErrors",
     "aligned",
     "ate_rmse",
     "comparison_table",
@@ -33,6 +46,7 @@ __all__ = [
     "relative_map_pose_error",
     "relative_pose_error",
     "rotation_mse",
+    "trajectory_errors",
     "translation_mse",
     "true_positive_rate",
 ]

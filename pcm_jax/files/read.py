@@ -16,6 +16,7 @@ from pcm_jax.files.formats import named, recognised
 from pcm_jax.files.names import check_given_once
 from pcm_jax.files.pose_file import PoseFile, Reading
 from pcm_jax.files.source import LIMIT, Source
+from pcm_jax.files.trajectories import joined_in_order
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -116,13 +117,19 @@ def read_with_account(
     *,
     skip_bad: bool = False,
     ignore_priors: bool = False,
+    join: bool = False,
 ) -> tuple[MultiRobotGraph, Account]:
-    """Reads as `read_graph` does, and tells what was read and how instead of warning of it."""
+    """Reads as `read_graph` does, and tells what was read and how instead of warning of it.
+
+    With `join`, poses of a file without measurements are a trajectory, in the order of their ids.
+    """
     given, others = _flat(paths, "paths"), _flat([] if closures is None else [closures], "closures")
     if not given:
         raise InputError("paths: none given, expected at least one file")
     check_given_once([*given, *others])
     files = [_read(Source(path, reading.byte_limit), reading) for path in given]
+    if join:
+        files = [joined_in_order(file, reading) for file in files]
     check_one_group(files)
     hinted = dataclasses.replace(reading, group=files[0].group, format=None)
     notes: list[str] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, cast
 
 import numpy as np
@@ -64,6 +65,19 @@ def trajectory_file(
         stamps=None if stamps is None else (own, stamps[order]),
         how="default sigmas, of each step",
     )
+
+
+def joined_in_order(file: PoseFile, reading: Reading) -> PoseFile:
+    """Joins the poses of a file without measurements by steps, in the order of their ids.
+
+    A file that has measurements, or an id twice, is left as it is.
+    """
+    ids, vertices = file.vertices.ids[:, 0], file.vertices
+    if len(file.edges) or not len(vertices) or len(np.unique(ids)) < len(ids):
+        return file
+    poses = file.group(vertices.transforms)
+    made = trajectory_file(file.path, file.format, poses, vertices.line, reading, ids=ids)
+    return dataclasses.replace(file, edges=made.edges)
 
 
 def check_sigmas(path: str, line: int, reading: Reading) -> None:

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import read_graph, read_tum, write_trajectory
+from pcm_jax.files.pose_file import Reading
+from pcm_jax.files.read import read_with_account
 
 SIGMAS = (0.1, 0.01)
 
@@ -119,3 +121,20 @@ def test_times_come_out_again(tmp_path, poses):
     (one,) = read_graph(tmp_path / "run.txt", default_sigmas=SIGMAS).maps
     write_trajectory(tmp_path / "again.txt", one)
     np.testing.assert_allclose(read_tum(tmp_path / "again.txt")[0], [0, 0.5, 1, 1.5])
+
+
+def test_poses_without_measurements_are_joined_where_asked(tmp_path):
+    """In the order of ids; a file that has measurements stays as it is."""
+    rows = ["VERTEX_SE2 5 2 0 0", "VERTEX_SE2 3 0 0 0", "VERTEX_SE2 4 1 0 0"]
+    bare, linked = tmp_path / "bare.g2o", tmp_path / "linked.g2o"
+    bare.write_text("\n".join(rows))
+    linked.write_text("\n".join([*rows, "EDGE_SE2 3 5 2 0 0 1 0 0 1 0 1"]))
+    reading = Reading(default_sigmas=SIGMAS)
+    graph, _ = read_with_account([str(bare)], None, reading, join=True)
+    (one,) = graph.maps
+    np.testing.assert_array_equal(one.ids, [3, 4, 5])
+    np.testing.assert_array_equal(np.stack([one.tail, one.head], axis=1), [[0, 1], [1, 2]])
+    np.testing.assert_array_equal(lie.translation(one.measurement), [[1.0, 0.0]] * 2)
+    for path, join in ((bare, False), (linked, True)):
+        with pytest.raises(FileFormatError, match="falls into"):
+            read_with_account([str(path)], None, reading, join=join)
