@@ -1,1 +1,1 @@
-"""The README's picture, and the script that makes it: `python -m benchmarks.pictures`."""
+"""The README's pictures, and the script that makes them: `python -m benchmarks.pictures`."""

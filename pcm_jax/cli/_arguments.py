@@ -10,6 +10,7 @@ from pcm_jax import __version__
 from pcm_jax.cli._evaluate_arguments import add_evaluate_options
 
 DEMO_PICTURE = Path("pcm-jax-demo.png")
+DEMO_PAGE = Path("pcm-jax-demo.html")
 
 # Options that `simulate city` and `simulate sessions` share; defaults are the library's.
 _WORLD = {
@@ -78,7 +79,7 @@ def _demo(commands: Any) -> None:
         commands,
         "demo",
         "Simulate two robots with 15 true and 100 false closures; merge them with all and by PCM. "
-        f"Writes {DEMO_PICTURE}.",
+        f"Writes {DEMO_PICTURE} and {DEMO_PAGE}.",
     )
     _seed(demo, "of the simulated world (default: 0)")
 

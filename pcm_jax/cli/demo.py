@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pcm_jax.cli import _outputs as outputs
-from pcm_jax.cli._arguments import DEMO_PICTURE
+from pcm_jax.cli._arguments import DEMO_PAGE, DEMO_PICTURE
 from pcm_jax.cli._progress import Progress
 from pcm_jax.errors import InputWarning
 from pcm_jax.evaluation import ate_rmse
@@ -37,14 +37,17 @@ class Outcome:
 
 def run(options: Any) -> None:
     """Prints the table and saves the picture in the current folder."""
-    check_target(DEMO_PICTURE)
+    for path in (DEMO_PICTURE, DEMO_PAGE):
+        check_target(path)
     outputs.check_picture(DEMO_PICTURE)
     with Progress("simulating") as progress:
         world = simulate_city(seed=options.seed)
         outcomes = merged_both_ways(world, progress)
         progress("drawing")
         draw(world, outcomes, DEMO_PICTURE)
+        outcomes[PCM].result.to_html(DEMO_PAGE)
     print(f"{description(world)}\n\n{comparison(world, outcomes)}\n\nwrote {DEMO_PICTURE}")
+    print(f"wrote {DEMO_PAGE}, which says of every closure why: open it in a browser")
 
 
 def merged_both_ways(world: SimulatedWorld, progress: Any = None) -> dict[str, Outcome]:
