@@ -124,6 +124,8 @@ def merge_differentiable(
             )
     count = len(graph.closures)
     if not isinstance(weights, jax.Array):
+        if getattr(weights, "dtype", None) == np.bool_:  # a mask: weights of 0 and 1
+            weights = np.asarray(weights, np.float64)
         weights = cast(Any, as_real(weights, "weights"))
     if jnp.shape(weights) != (count,):
         raise InputError(f"weights: shape {jnp.shape(weights)}, expected ({count},)")

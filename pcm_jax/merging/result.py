@@ -198,9 +198,6 @@ class MergeResult:
             raise InputError(f"robot: {robot} given, expected 0 … {len(self.maps) - 1}")
         count = self.maps[robot].num_poses
         wanted = np.arange(count) if poses is None else as_indices(poses, count, "poses", "poses")
-        outside = wanted[(wanted < 0) | (wanted >= count)]
-        if outside.size:
-            raise InputError(f"poses: {outside[0]} given, expected 0 … {count - 1}")
         covariance, first = self._covariance_of[robot]
         joint = covariance.joint(first + wanted)
         self._warn_of_headings(robot, wanted, joint)

@@ -18,8 +18,8 @@ from pcm_jax.consistency import (
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
-from pcm_jax.pipeline import merge, select, weigh
-from pcm_jax.selection import choose, repair, select_from, select_within
+from pcm_jax.pipeline import merge, select, select_within, weigh
+from pcm_jax.selection import choose, repair, select_from
 from pcm_jax.selection.methods import jcbb as module
 from pcm_jax.selection.methods.jcbb import JointSets, suffix_colours
 
