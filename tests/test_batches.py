@@ -12,6 +12,9 @@ import pcm_jax as pcm
 from pcm_jax import lie
 from pcm_jax.selection import select_batched
 
+pytestmark = pytest.mark.slow
+
+
 SAMPLES, COUNT = 1_000, 6
 NOT_A_NUMBER, NOT_DEFINITE, NOT_CONVERGING = BAD = 10, 400, 999
 GATE = 11.3
@@ -59,7 +62,6 @@ def run():
     return jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True)))
 
 
-@pytest.mark.slow
 def test_the_other_997_stay_the_same_bit_for_bit(run):
     scale = np.random.default_rng(1).uniform(0.5, 2.0, SAMPLES)
     covariance = scale[:, None, None, None] * np.tile(0.01 * np.eye(3), (COUNT, 1, 1))

@@ -14,6 +14,9 @@ import pcm_jax
 from pcm_jax import lie
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 
+pytestmark = pytest.mark.slow
+
+
 YES, CONSTANT = "yes", "–"
 
 

@@ -11,6 +11,9 @@ import pytest
 
 import pcm_jax as pcm
 
+pytestmark = pytest.mark.slow
+
+
 PACKAGE = Path(pcm.__file__).parent
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -70,7 +73,6 @@ def test_covariances_of_gtsam(run, world):
     np.testing.assert_allclose(by_gtsam, world["squared"], rtol=1e-3)  # its gauge is a prior
 
 
-@pytest.mark.slow
 def test_sweeps_and_meshes(run, world):
     names = run("experiments/sweep")
     assert names["rows"].num_rows == 200 * 2 * 2
@@ -78,7 +80,6 @@ def test_sweeps_and_meshes(run, world):
     np.testing.assert_allclose(names["shared"][:m, :m], world["squared"], rtol=1e-12)
 
 
-@pytest.mark.slow
 def test_training(run, world):
     """Only closures that PCM accepts, or nearly does, can move the map."""
     slope = np.asarray(run("merging/differentiable")["slope"])

@@ -11,6 +11,9 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
+
 SCRIPT = """
 import contextlib, hashlib, sys
 import jax
@@ -92,7 +95,6 @@ def usual() -> dict[str, str]:
     return outcomes("64 bits")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in SETTINGS if name != "64 bits"])
 def test_the_same_bits_under_other_settings(usual, name):
     assert len(usual) == 13

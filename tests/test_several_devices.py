@@ -26,6 +26,9 @@ from pcm_jax.errors import InputError
 from pcm_jax.experiments.sweep import Grid, Numbers, Shape, outcomes_of
 from pcm_jax.simulation import simulate_chains
 
+pytestmark = pytest.mark.slow
+
+
 PATIENCE = 240  # seconds, of a machine that is busy
 LAW = {"poses": 30, "inliers": 4, "aliased_groups": 1, "aliased_size": 3, "random": 5}
 SWEEP = {"worlds": 600, "methods": ("ransac", "scgp"), "confidences": (0.5, 0.99), **LAW}

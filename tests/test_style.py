@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
     [
         ["ruff", "check", "--no-cache", "."],
         ["ruff", "format", "--no-cache", "--check", "."],
-        ["pyright", "--pythonpath", sys.executable],
+        pytest.param(["pyright", "--pythonpath", sys.executable], marks=pytest.mark.slow),
     ],
     ids=["lint", "format", "types"],
 )

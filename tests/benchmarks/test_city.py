@@ -24,6 +24,9 @@ from pcm_jax import InputError, MultiRobotGraph, lie, merge, select
 from pcm_jax.evaluation.metrics import ate_rmse
 from pcm_jax.store import Store, digest
 
+pytestmark = pytest.mark.slow
+
+
 CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
 
 

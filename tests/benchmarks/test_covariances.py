@@ -12,6 +12,9 @@ from benchmarks import covariances
 from benchmarks.experiments.drifting import CITY, RIGHT, Point, candidates, odometry
 from pcm_jax import chi2_gate, consistency_problem, lie, squared_mahalanobis
 
+pytestmark = pytest.mark.slow
+
+
 SMALL = CITY._replace(poses=120, drifts=(1.0, 2.0), shares=(0.0, 1.0), share=1.0)
 
 

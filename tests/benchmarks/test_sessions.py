@@ -9,6 +9,9 @@ import pytest
 
 from benchmarks import sessions
 
+pytestmark = pytest.mark.slow
+
+
 CONTRACT = {"tpr", "fpr", "translation_mse", "rotation_mse", "chi2", "seconds"}
 TABLE_II = {
     f"{kind}_{error}"

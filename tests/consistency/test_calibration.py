@@ -17,6 +17,9 @@ from pcm_jax import lie
 from pcm_jax.consistency import chi2_gate, consistency_problem, squared_mahalanobis
 from pcm_jax.graph import LoopClosures, PoseGraph
 
+pytestmark = pytest.mark.slow
+
+
 WORLDS, POSES, CLOSURES = 200, 7, 9
 SIGMA = 0.01
 CHAIN = [(i, i + 1) for i in range(POSES - 1)]

@@ -13,6 +13,9 @@ from pcm_jax import lie
 from pcm_jax.consistency import consistency_graph, consistency_problem, squared_mahalanobis
 from pcm_jax.lie import unrolled
 
+pytestmark = pytest.mark.slow
+
+
 COUNT = 12
 LIE = ("measurement", "pose_a", "pose_b")
 COVARIANCES = ("measurement_covariance", "relative_covariance_a", "relative_covariance_b")

@@ -220,6 +220,7 @@ def slopes(problem):
     return by_gradient, by_difference
 
 
+@pytest.mark.slow
 def test_gradients(problem, slopes):
     by_gradient, by_difference = slopes
     np.testing.assert_allclose(by_gradient(problem), by_difference(problem, 1e-5), rtol=1e-6)

@@ -288,6 +288,7 @@ def test_inside_jit_padding_is_infinite(problem, squared, own):
     assert np.isposinf(alone[COUNT:]).all()
 
 
+@pytest.mark.slow
 def test_derivatives():
     """Along a random direction in every input at once, against central differences."""
     problem = within_problem(random_chain(jaxlie.SE3, poses=POSES, count=COUNT))

@@ -20,6 +20,9 @@ from pcm_jax.consistency import (
 )
 from pcm_jax.graph import LoopClosures, PoseGraph
 
+pytestmark = pytest.mark.slow
+
+
 WORLDS, POSES, CLOSURES = 800, 25, 6
 SIGMA = 0.01
 OFF_DIAGONAL = ~np.eye(CLOSURES, dtype=bool)

@@ -376,6 +376,7 @@ def test_robust_methods_tell_their_scales():
     assert robust.accepted.any() and not robust.robust.accepted.all()
 
 
+@pytest.mark.slow
 def test_a_metric_of_ones_own():
     """Its distances count what agrees; what the loop misses by is still in metres."""
     evidence, result = evidence_and_result("SE2")

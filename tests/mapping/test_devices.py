@@ -25,6 +25,9 @@ from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.merging import merge_differentiable
 
+pytestmark = pytest.mark.slow
+
+
 PATIENCE = 400  # seconds, of a machine that is busy
 BUFFERS, COPIES = "xla_buffer_python_cpu_callback", "xla_ffi_python_cpu_callback"
 WEIGHTS = np.array([1.0, 0.5])
@@ -111,7 +114,6 @@ def elsewhere(world, tmp_path_factory):
     return pickle.loads((folder / "found.pickle").read_bytes())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("setting", ["strict", "committed"])
 def test_the_callers_device_and_settings_change_no_bit(elsewhere, setting):
     for found, expected in zip(elsewhere[setting], elsewhere["plain"], strict=True):

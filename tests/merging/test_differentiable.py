@@ -24,6 +24,8 @@ from pcm_jax.pipeline import merge
 from pcm_jax.sparse import registry
 from pcm_jax.sparse.system import System
 
+pytestmark = pytest.mark.slow
+
 
 def noisy(rng, exact, sigma):
     """Measurements of exact relative poses, and the covariance of their noise."""
@@ -289,7 +291,6 @@ def test_structure_may_differ_within_a_batch(three, batch):
             np.testing.assert_allclose(found[row, :kept], values, atol=1e-11)
 
 
-@pytest.mark.slow
 def test_more_structures_than_are_kept(monkeypatch):
     """Eleven hundred in a batch, each with a closure elsewhere, and a cache of a thousand."""
     monkeypatch.setattr(registry.systems, "_size", 1000)

@@ -16,6 +16,9 @@ from pcm_jax.graph import LoopClosures, PoseGraph
 from pcm_jax.simulation import simulate_chains
 from pcm_jax.simulation.measurements import diagonal_covariance
 
+pytestmark = pytest.mark.slow
+
+
 LAW = {"poses": 61, "inliers": 8, "aliased_groups": 2, "aliased_size": 4, "random": 10}
 CLOSURES, WORLDS = 26, 300
 
