@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.graph import LoopClosures
+from pcm_jax.graph.unsaid import held
 from pcm_jax.mapping import MapCovariance
 
 PARTNERS, PAIRS = 32, 50_000
@@ -63,7 +64,7 @@ class Loops:
         self.placed = lie.compose(self.reached, lie.inverse(lie.take(b.frame, poses[1])))
         information = np.asarray(closures.information, np.float64)
         adjoint = np.asarray(lie.adjoint(self.reached))
-        self._noise = adjoint @ np.linalg.inv(information) @ adjoint.swapaxes(1, 2)
+        self._noise = adjoint @ np.linalg.inv(held(information)) @ adjoint.swapaxes(1, 2)
         self._sides = _Side(a, poses[0]), _Side(b, poses[1])
 
     def squared(

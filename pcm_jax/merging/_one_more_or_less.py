@@ -22,6 +22,7 @@ from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
+from pcm_jax.graph.unsaid import held
 
 BALANCED = 1e-9
 """Share of a closure's covariance that is left to all else, below which nothing else holds it."""
@@ -43,7 +44,7 @@ def anchor_shift(result: Any, index: int) -> Float[np.ndarray, "robots d"]:
     ends = np.array([place[robots[0]] + closure.pose_a[0], place[robots[1]] + closure.pose_b[0]])
     of_firsts, of_ends = _covariances(result._covariance_of[members[0]][0], firsts, ends)
     residual, slope = _linear(result.graph, closure)
-    own = np.linalg.inv(np.asarray(closure.information[0], np.float64))
+    own = np.linalg.inv(held(np.asarray(closure.information, np.float64))[0])
     taken_out = bool(result.accepted[index])
     left = own + (-1.0 if taken_out else 1.0) * slope @ of_ends @ slope.T
     shift = np.zeros((len(result.maps), len(residual)))
