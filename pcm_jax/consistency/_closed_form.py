@@ -33,7 +33,7 @@ odometry alone, ε = Log(z_u⁻¹ x_ik), has by the same derivation
 from __future__ import annotations
 
 import functools
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import jax
@@ -144,27 +144,39 @@ def per_closure(closures: Any) -> tuple[Any, Any]:
     return xp.stack(placed), xp.stack(noise)
 
 
-def limits_on_host(problem: ConsistencyProblem) -> Limit:
-    """q² and degrees of freedom of all ordered pairs, on NumPy: nothing is compiled.
+def limits_in_numpy(problem: ConsistencyProblem) -> Limit:
+    """q² of all ordered pairs on NumPy arrays, which compiles nothing.
 
     Args:
-        problem: NumPy arrays; closures that leave directions unsaid.
+        problem: NumPy arrays of valid closures alone.
+
+    Returns:
+        With degrees of freedom where closures leave directions unsaid, else None for them.
     """
     (placed, noise), free = per_closure(problem), carried(problem)
     module, count = lie.module_of(lie.group_of(problem.measurement)), placed.shape[1]
-    squared, freedom = np.zeros((count, count)), np.zeros((count, count))
-    height = max(1, PAIRS_AT_ONCE // count)
-    for start in range(0, count, height):
-        u, v = np.arange(start, min(start + height, count))[:, None], np.arange(count)[None]
-        t_u, t_v = (tuple(entry[k] for entry in placed) for k in (u, v))
-        side_a = problem.relative_covariance_a[:, problem.row_a[u], problem.row_a[v]]
-        side_b = tuple(problem.relative_covariance_b[:, problem.row_b[u], problem.row_b[v]])
-        fixed = tuple(a + z[u] + z[v] for a, z in zip(side_a, noise, strict=True))
-        columns = columns_of(free, lambda n, u=u: n[:, :, u], lambda n, v=v: n[:, :, v])
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            found = squared_one_way(module, t_u, t_v, t_v, fixed, side_b, columns)
-        squared[u, v], freedom[u, v] = found
-    return Limit(squared, freedom)
+    tables = [np.zeros((count, count)) for _ in range(1 if free is None else 2)]
+    first, second = np.triu_indices(count, 1)
+    for start in range(0, len(first), PAIRS_AT_ONCE):
+        u, v = first[start : start + PAIRS_AT_ONCE], second[start : start + PAIRS_AT_ONCE]
+        side_a, side_b = _two_maps_in_numpy(problem, u, v)
+        fixed = tuple(side_a + noise[:, u] + noise[:, v])
+        t_u, t_v = tuple(placed[:, u]), tuple(placed[:, v])
+        columns = None
+        if free is not None:
+            columns = columns_of(free, lambda n, u=u: n[:, :, u], lambda n, v=v: n[:, :, v])
+        for at, pairs in ((t_v, (u, v)), (t_u, (v, u))):
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+                found = squared_one_way(module, t_u, t_v, at, fixed, side_b, columns)
+            for table, values in zip(tables, [found] if free is None else found, strict=True):
+                table[pairs] = values
+    return Limit(tables[0], None if free is None else tables[1])
+
+
+def _two_maps_in_numpy(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:
+    """Ga_ij and Gb_kl, packed, of pairs of closures."""
+    side_a = problem.relative_covariance_a[:, problem.row_a[u], problem.row_a[v]]
+    return side_a, problem.relative_covariance_b[:, problem.row_b[u], problem.row_b[v]]
 
 
 def _tile(
@@ -228,31 +240,6 @@ def squared_one_way(
     if free is not None:
         return limit(_total(module, at, fixed, side_b, None), error, free)
     return unrolled.inverse_quadratic_form(_total(module, at, fixed, side_b, None), error)
-
-
-def squared_in_numpy(problem: ConsistencyProblem) -> Float[np.ndarray, "k k"]:
-    """q² of all ordered pairs of the k valid closures, on NumPy arrays; compiles nothing."""
-    count = int(np.count_nonzero(np.asarray(problem.valid)))
-    module = lie.module_of(lie.group_of(problem.measurement))
-    own = {
-        name: jax.tree.map(lambda x: np.asarray(x)[:count], getattr(problem, name))
-        for name in ("measurement", "measurement_covariance", "pose_a", "pose_b")
-    }
-    placed, noise = per_closure(SimpleNamespace(**own))
-    squared = np.zeros((count, count))
-    rows = np.asarray(problem.row_a), np.asarray(problem.row_b)
-    covariances = problem.relative_covariance_a, problem.relative_covariance_b
-    sides = [(np.asarray(each), row) for each, row in zip(covariances, rows, strict=True)]
-    first, second = np.triu_indices(count, 1)
-    for start in range(0, len(first), PAIRS_AT_ONCE):
-        u, v = first[start : start + PAIRS_AT_ONCE], second[start : start + PAIRS_AT_ONCE]
-        side_a, side_b = (each[:, row[u], row[v]] for each, row in sides)
-        fixed = tuple(side_a + noise[:, u] + noise[:, v])
-        t_u, t_v = tuple(placed[:, u]), tuple(placed[:, v])
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            squared[u, v] = squared_one_way(module, t_u, t_v, t_v, fixed, side_b)
-            squared[v, u] = squared_one_way(module, t_u, t_v, t_u, fixed, side_b)
-    return squared
 
 
 def _two_maps(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:

@@ -21,9 +21,8 @@ from pcm_jax.consistency._closed_form import (
     closed_form_kernel,
     closed_form_new,
     closed_form_rows,
-    limits_on_host,
+    limits_in_numpy,
     own_loop_kernel,
-    squared_in_numpy,
 )
 from pcm_jax.consistency._limit import Limit
 from pcm_jax.consistency.definition import jacfwd_kernel
@@ -217,20 +216,22 @@ def limits_of(problem: Problem, *, kernel: str = "closed-form") -> Limit:
         traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(problem))
         if traced or kernel != "closed-form":
             return Limit(*(_cut(each, problem.valid) for each in _KERNELS[kernel](problem)))
-        found = _on_host(jax.tree.map(np.asarray, problem))  # compiling takes twenty seconds
+        found = _in_numpy(problem)  # compiling takes twenty seconds
         return Limit(device_array(found.squared), device_array(found.freedom, np.int32))
 
 
-def _on_host(problem: ConsistencyProblem) -> Limit:
+def _in_numpy(problem: ConsistencyProblem) -> Limit:
     """The closed form on NumPy, of the valid closures; marked as the compiled one is."""
+    problem = jax.tree.map(np.asarray, problem)
     valid = np.flatnonzero(problem.valid)
     names = (*_OF_CLOSURES, "free", "row_a", "row_b", "valid")
     own = {name: jax.tree.map(lambda x: x[valid], getattr(problem, name)) for name in names}
     harmless, known = _harmless(dataclasses.replace(problem, **own), np)
-    squared, freedom = limits_on_host(harmless)
+    squared, freedom = limits_in_numpy(harmless)
     squared[~(known[:, None] & known)] = np.nan
     np.fill_diagonal(squared, 0.0)
-    np.fill_diagonal(freedom, problem.measurement_covariance.shape[-1])
+    if freedom is not None:
+        np.fill_diagonal(freedom, problem.measurement_covariance.shape[-1])
     return Limit(squared, freedom)
 
 
@@ -259,7 +260,7 @@ def weighed_on_host(problem: ConsistencyProblem) -> Limit:
     if _says_all(problem):
         shapes = problem.relative_covariance_a.shape, problem.relative_covariance_b.shape
         if not _thrift.compiles((d, padded, shapes), padded**2 * SECONDS_A_PAIR[d]):
-            return Limit(squared_in_numpy(problem), None)
+            return _in_numpy(problem)
     squared, freedom = limits_of(problem)
     return Limit(np.asarray(squared), None if freedom is None else np.asarray(freedom))
 
