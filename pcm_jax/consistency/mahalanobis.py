@@ -220,7 +220,7 @@ def limits_of(problem: Problem, *, kernel: str = "closed-form") -> Limit:
         return Limit(device_array(found.squared), device_array(found.freedom, np.int32))
 
 
-def _in_numpy(problem: ConsistencyProblem) -> Limit:
+def _in_numpy(problem: Any) -> Limit:
     """The closed form on NumPy, of the valid closures; marked as the compiled one is."""
     problem = jax.tree.map(np.asarray, problem)
     valid = np.flatnonzero(problem.valid)
