@@ -110,6 +110,40 @@ def inverse_columns(
     return solution
 
 
+def inverse_column(
+    factor: CholeskyFactor, pose: int, right: Float[np.ndarray, "d d"]
+) -> Float[np.ndarray, "n d d"]:
+    """One of `inverse_columns`, in a fraction of the time: all fronts of a group at once.
+
+    Args:
+        factor: of `H`.
+        pose: which block column.
+        right: what it is multiplied by from the right.
+    """
+    plan, tree, d = factor.plan, factor.plan.tree, factor.plan.block_dim
+    rows = np.zeros(((tree.size + 1) * d, d))  # padding lies behind the last
+    blocks = rows.reshape(-1, d, d)
+    blocks[plan.position[pose]] = right
+    front = int(tree.front_of[plan.position[pose]])
+    with registry.blas.one():
+        while front >= 0:
+            first = tree.first[front]
+            own = slice(first * d, (first + tree.pivots[front]) * d)
+            rest = tree.rest[tree.rest_start[front] : tree.rest_start[front + 1]]
+            inverse, coupling = _front_of(factor, front)
+            solved = inverse @ rows[own]
+            if len(rest):
+                blocks[rest] -= (coupling @ solved).reshape(len(rest), d, d)
+            rows[own] = inverse.T @ solved
+            front = int(tree.parent[front])
+        for group, back in zip(reversed(plan.groups), reversed(factor.back), strict=True):
+            if group.rest:
+                own = rows.take(group.pivot_rows, axis=0)
+                rows[group.pivot_rows] = own - back @ rows.take(group.rest_rows, axis=0)
+                rows[tree.size * d :] = 0.0
+    return blocks[:-1]
+
+
 def _backward(factor: CholeskyFactor, solution: Float[np.ndarray, "n d k*d"]) -> None:
     """Turns W into the solution, front by front from the root down, in place."""
     tree, d = factor.plan.tree, factor.plan.block_dim
