@@ -6,8 +6,15 @@ is kept; of the maps' covariance only the block of each touched pose. What a new
     G_ij = C_ii + C_jj − C_ij − C_ijᵀ     of a new pose i and all j so far,
 
 takes one column of each map's covariance (`MapCovariance.column`), and is not kept: memory is that
-of the closures. Left perturbations are in a frame that stays (`MapCovariance.origin`), so what was
-found before stays true. Host; a row of Q is computed in NumPy until compiling pays.
+of the closures. Most new closures need none. The covariance of a difference is at most
+
+    G_ij  ⪯  2 (C_ii + C_jj)
+
+so M (`_closed_form`) with these in place of Ga and Gb is too large, and q² by it too small: pairs
+that it tells apart are apart. A false closure is mostly told from all others by that alone.
+
+Left perturbations are in a frame that stays (`MapCovariance.origin`), so what was found before
+stays true. Host; a row of Q is computed in NumPy until compiling pays.
 """
 
 from __future__ import annotations
@@ -17,13 +24,14 @@ import functools
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.compiling import Thrift
-from pcm_jax.consistency._closed_form import per_closure, squared_one_way
+from pcm_jax.consistency._closed_form import squared_one_way
 from pcm_jax.consistency._limit import carried, comparable
 from pcm_jax.consistency.mahalanobis import SECONDS_A_PAIR, SECONDS_TO_COMPILE
 from pcm_jax.graph import LoopClosures
@@ -35,6 +43,8 @@ AT_ONCE = 1024
 """Closures that a compiled row is padded to: one program serves any number of them."""
 SMALLEST = 64
 """Closures that there is room for at first; then twice as many, again and again."""
+ROUNDING = 1e-6
+"""By which rounding may move a bound, relative to the gate: far more than it does."""
 WORTH = 1000
 """Pairs that take NumPy as long as all of its calls for a row take by themselves."""
 _thrift = Thrift(SECONDS_TO_COMPILE)
@@ -69,6 +79,7 @@ class GrowingPair:
     def __len__(self) -> int:
         return self.count
 
+    @on_host
     def agreeing(self, one: LoopClosures) -> Bool[np.ndarray, " m"]:
         """Marks the closures so far that a further one agrees with; it is not taken in by that.
 
@@ -78,21 +89,29 @@ class GrowingPair:
         Raises:
             InputError: for a map whose information is singular.
         """
-        self._next = self._one(one)
-        if self.count == 0:
-            return np.zeros(0, bool)
-        squared = self._row(self._next)
-        return np.asarray((squared <= self.gate).all(axis=0))
+        self._next = new = self._one(one)
+        agrees = np.zeros(self.count, bool)
+        left = np.arange(self.count)
+        old = self._numbers[:, : self.count]
+        if not (new.unsaid or self._unsaid[: self.count].any()):
+            bound = self._row(old, new, self._bounds(old, new))
+            left = np.flatnonzero(~(bound > self.gate * (1.0 + ROUNDING)).any(axis=0))
+        if len(left):
+            old = old[:, left]
+            squared = self._row(old, new, self._sides(old, new, self._poses[:, left]))
+            agrees[left] = (squared <= self.gate).all(axis=0)
+        return agrees
 
     def append(self) -> None:
         """Takes in the closure that `agreeing` was asked about last."""
         if self.count == len(self._unsaid):
             self._double()
-        self._numbers[:, self.count] = self._next.numbers
+        self._numbers[:, self.count] = self._next.numbers[:, 0]
         self._poses[:, self.count] = self._next.poses
         self._unsaid[self.count] = self._next.unsaid
         self.count += 1
 
+    @on_host
     def take_in(self, closures: LoopClosures) -> None:
         """Takes in many closures, without weighing them against any.
 
@@ -139,16 +158,14 @@ class GrowingPair:
             for table in (self._numbers, self._poses, self._unsaid)
         )
 
-    @on_host
     def _one(self, one: LoopClosures) -> _One:
         poses = int(one.pose_a[0]), int(one.pose_b[0])
-        columns = [
-            covariance.column(pose, np.append(others[: self.count], pose))
-            for covariance, pose, others in zip(self.covariances, poses, self._poses, strict=True)
+        owns = [
+            _twice(covariance.own(pose)[None]) / 2.0
+            for covariance, pose in zip(self.covariances, poses, strict=True)
         ]
-        owns = [_twice(column[-1:]) / 2.0 for column in columns]
         numbers, unsaid = self._kept(one, owns)
-        return _One(numbers[:, 0], poses, unsaid, tuple(_twice(c[:-1]) for c in columns))
+        return _One(numbers, poses, unsaid)
 
     def _kept(
         self, closures: LoopClosures, owns: list[np.ndarray]
@@ -161,34 +178,52 @@ class GrowingPair:
                 self.covariances, (closures.pose_a, closures.pose_b), strict=True
             )
         )
-        placed = _Placed(lie.as_numpy(closures.measurement), covariance, frame_a, frame_b, free)
-        unsaid, out = np.zeros((self._dim, self._dim, len(closures))), carried(placed)
-        if out is not None:
+        measured = lie.as_numpy(closures.measurement)
+        reached = lie.compose(frame_a, measured)
+        adjoint = np.asarray(lie.adjoint(reached))
+        placed = np.asarray(lie.parameters(lie.compose(reached, lie.inverse(frame_b)))).T
+        noise = _twice(adjoint @ covariance @ adjoint.swapaxes(1, 2)) / 2.0
+        unsaid, out = np.zeros((self._dim, self._dim, len(closures))), None
+        if free is not None:
+            out = carried(_Unsaid(measured, frame_a, free))
             unsaid[: len(out)] = out
-        parts = *per_closure(placed), *owns, unsaid.reshape(self._dim**2, -1)
+        parts = placed, noise, *owns, unsaid.reshape(self._dim**2, -1)
         return np.concatenate(parts), out is not None
 
-    @on_host
-    def _row(self, new: _One) -> Float[np.ndarray, "2 m"]:
-        """q² of every closure so far with a new one, in both directions."""
-        old, new_parts = self._numbers[:, : self.count], new.numbers[:, None]
-        of_old, of_new = ([table[part] for part in self._parts] for table in (old, new_parts))
-        side_a, side_b = (
-            of_old[k] + of_new[k] - twice for k, twice in zip((2, 3), new.sides, strict=True)
-        )
-        fixed = side_a + of_old[1] + of_new[1]
-        if new.unsaid or self._unsaid[: self.count].any():
+    def _bounds(self, old: Float[np.ndarray, "s n"], new: _One) -> list[np.ndarray]:
+        """More than Ga_ij and Gb_ij, packed: 2 (C_ii + C_jj)."""
+        return [2.0 * (old[part] + new.numbers[part]) for part in self._parts[2:4]]
+
+    def _sides(
+        self, old: Float[np.ndarray, "s n"], new: _One, poses: Int[np.ndarray, "2 n"]
+    ) -> list[np.ndarray]:
+        """Ga_ij and Gb_ij, packed, of the new closure's poses i and some others."""
+        return [
+            old[part] + new.numbers[part] - _twice(covariance.column(pose, others))
+            for part, covariance, pose, others in zip(
+                self._parts[2:4], self.covariances, new.poses, poses, strict=True
+            )
+        ]
+
+    def _row(
+        self, old: Float[np.ndarray, "s n"], new: _One, sides: list[np.ndarray]
+    ) -> Float[np.ndarray, "2 n"]:
+        """q² of some closures with a new one, in both directions."""
+        of_old, of_new = ([table[part] for part in self._parts] for table in (old, new.numbers))
+        fixed, side_b = sides[0] + of_old[1] + of_new[1], sides[1]
+        if of_old[4].any() or of_new[4].any():
             return self._limits(of_old[0], of_new[0], fixed, side_b, of_old[4], of_new[4])
-        pairs = 2 * max(self.count, WORTH)
-        if not _thrift.compiles(self._dim, pairs * SECONDS_A_PAIR[self._dim]):
+        count = old.shape[1]
+        work = 2 * max(count, WORTH) * SECONDS_A_PAIR[self._dim]
+        if not _thrift.compiles(self._dim, work):
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
                 return np.stack(_both_ways(self._module, of_old[0], of_new[0], fixed, side_b))
         compiled = _compiled(self._module)
-        found = np.empty((2, self.count))
-        for start in range(0, self.count, AT_ONCE):
-            part = slice(start, min(start + AT_ONCE, self.count))
-            t_u, rest = _padded(of_old[0][:, part]), _padded(fixed[:, part])
-            both = compiled(t_u, of_new[0], rest, _padded(side_b[:, part]))
+        found = np.empty((2, count))
+        for start in range(0, count, AT_ONCE):
+            part = slice(start, min(start + AT_ONCE, count))
+            given = (_padded(table[:, part]) for table in (of_old[0], fixed, side_b))
+            both = compiled(of_new[0], *given)
             found[:, part] = np.asarray(both)[:, : part.stop - start]
         return found
 
@@ -203,30 +238,26 @@ class GrowingPair:
         return np.stack([comparable(one.squared, one.freedom, self._dim) for one in found])
 
 
-class _Placed(NamedTuple):
-    """A closure as `per_closure` takes it."""
+class _Unsaid(NamedTuple):
+    """Closures as `carried` takes them."""
 
     measurement: Any
-    measurement_covariance: Float[np.ndarray, "1 d d"]
     pose_a: Any
-    pose_b: Any
-    free: Float[np.ndarray, "1 d f"] | None
+    free: Float[np.ndarray, "c d f"]
 
 
 class _One(NamedTuple):
     """A closure to be taken in.
 
     Attributes:
-        numbers: what is kept of it, see `GrowingPair`.
+        numbers: what is kept of it: T, Z, C_ii of both maps, unsaid directions; all packed.
         poses: in map a and map b.
         unsaid: whether it leaves directions unsaid.
-        sides: C_ij + C_ijᵀ of each map, packed, for all j so far.
     """
 
-    numbers: Float[np.ndarray, " s"]
+    numbers: Float[np.ndarray, "s 1"]
     poses: tuple[int, int]
     unsaid: bool
-    sides: tuple[Float[np.ndarray, "q m"], ...]
 
 
 def _twice(blocks: Float[np.ndarray, "m d d"]) -> Float[np.ndarray, "q m"]:
@@ -246,9 +277,14 @@ def _both_ways(
 
 @functools.cache
 def _compiled(module: Any) -> Any:
-    return jax.jit(functools.partial(_both_ways, module))
+    def both(t_v: Any, t_u: Any, fixed: Any, side_b: Any) -> Any:
+        return jnp.stack(_both_ways(module, t_u, t_v, fixed, side_b))
+
+    return jax.jit(both)
 
 
 def _padded(table: Float[np.ndarray, "s m"]) -> Float[np.ndarray, "s AT_ONCE"]:
-    """Filled up with the last column, which harms nothing."""
-    return np.pad(table, ((0, 0), (0, AT_ONCE - table.shape[1])), mode="edge")
+    """Filled up with zeros, of which NaN comes and is cut off."""
+    padded = np.zeros((len(table), AT_ONCE))
+    padded[:, : table.shape[1]] = table
+    return padded

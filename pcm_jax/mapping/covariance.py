@@ -36,6 +36,7 @@ from pcm_jax.sparse.inverse import (
     inverse_column,
     inverse_columns,
     inverse_diagonal,
+    inverse_own,
 )
 from pcm_jax.sparse.system import system_for
 
@@ -162,7 +163,6 @@ class MapCovariance:
         solution = inverse_columns(factor, wanted, right)
         return CovarianceColumns(self.adjoint, factor.plan.position, solution)
 
-    @on_host
     def column(self, pose: int, others: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k d d"]:
         """The covariance of some poses with one, left perturbations of `frame`.
 
@@ -190,6 +190,19 @@ class MapCovariance:
             beyond = shared > 0
             found[beyond] += self._grown[shared[beyond] - 1]
         return found
+
+    def own(self, pose: int) -> Float[np.ndarray, "d d"]:
+        """The covariance of one pose, left perturbations of `frame`: as `column` of it has it.
+
+        Args:
+            pose: an index, not checked.
+        """
+        trunk = self._trunk
+        last = trunk.pose_graph.num_poses - 1
+        anchor, found = min(pose, last), np.zeros((self._dim, self._dim))
+        if anchor != trunk._held:
+            found = inverse_own(trunk.factor(), anchor, trunk.adjoint[anchor].T)
+        return found if pose <= last else found + self._grown[pose - last - 1]
 
     @on_host
     def extend(self, pose_graph: PoseGraph) -> MapCovariance:

@@ -7,7 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pcm_jax import lie
 from pcm_jax.consistency import GrowingPair, chi2_gate
+from pcm_jax.mapping import MapCovariance
 from pcm_jax.pipeline import weigh
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
@@ -51,15 +53,32 @@ def test_compiled_rows_are_the_same(pair, monkeypatch):
     np.testing.assert_array_equal(graph, pair.consistent(gate_of(pair))[:40, :40])
 
 
-def test_squared_distances_are_the_same(pair):
+def test_squared_distances_are_the_same_and_bounds_below_them(pair):
     found = GrowingPair(pair.covariances, gate_of(pair))
+    apart = 0
     for row in range(len(pair)):
-        found._next = found._one(pair.measured[[row]])
-        if row:
-            both = found._row(found._next)
-            np.testing.assert_allclose(both[0], pair.squared[:row, row], rtol=1e-8)
-            np.testing.assert_allclose(both[1], pair.squared[row, :row], rtol=1e-8)
+        new, old = found._one(pair.measured[[row]]), found._numbers[:, :row]
+        both = found._row(old, new, found._sides(old, new, found._poses[:, :row]))
+        bound = found._row(old, new, found._bounds(old, new))
+        np.testing.assert_allclose(both[0], pair.squared[:row, row], rtol=1e-8)
+        np.testing.assert_allclose(both[1], pair.squared[row, :row], rtol=1e-8)
+        assert (bound <= both * (1.0 + 1e-9)).all()
+        apart += np.count_nonzero((bound > found.gate).any(axis=0))
+        found._next = new
         found.append()
+    assert apart > len(pair) * (len(pair) - 1) / 10
+
+
+def test_a_closure_apart_from_all_takes_no_column(pair, monkeypatch):
+    found, _ = grown(pair)
+    asked = []
+    monkeypatch.setattr(MapCovariance, "column", lambda *which: asked.append(which))
+    far = pair.measured[[0]]
+    values = np.array(lie.parameters(far.measurement))
+    values[:, -1] += 1e6
+    far = dataclasses.replace(far, measurement=far.group(values))
+    assert not found.agreeing(far).any()
+    assert not asked
 
 
 def test_taken_in_together(pair):

@@ -44,7 +44,11 @@ def grown(one: PoseGraph, steps: int, *, backward: tuple[int, ...] = ()) -> Pose
 
 
 def columns_of(covariance: MapCovariance, poses: np.ndarray) -> np.ndarray:
-    return np.stack([covariance.column(int(pose), poses) for pose in poses], axis=2)
+    columns = np.stack([covariance.column(int(pose), poses) for pose in poses], axis=2)
+    owns = [covariance.own(int(pose)) for pose in poses]
+    own = np.einsum("idie->ide", columns)
+    np.testing.assert_allclose(owns, own, rtol=1e-9, atol=1e-11 * np.abs(own).max())
+    return columns
 
 
 def joint_of(covariance: MapCovariance, poses: np.ndarray) -> np.ndarray:
