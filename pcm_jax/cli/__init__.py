@@ -3,12 +3,12 @@
 entry        runs a command; errors and warnings become lines on standard error
 _interrupts  Ctrl-C, wherever it comes
 _arguments   the options of all commands
-_evaluate_arguments     those of one of them
+_evaluate_arguments, _stream_arguments     those of two of them
 _cache       compiled programs kept on disk between commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
 calibrate, demo, evaluate, explain    one module a command, each with its `run`
-formats, inspect, merge, simulate     likewise
+formats, inspect, merge, simulate, stream     likewise
 _summary     the text that a merge prints
 _advice      the one thing to do next, where something about a merge is odd
 _reports     reports of merges, read again

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 
 from pcm_jax import __version__
 from pcm_jax.cli._evaluate_arguments import add_evaluate_options
+from pcm_jax.cli._stream_arguments import add_stream_options
 
 DEMO_PICTURE = Path("pcm-jax-demo.png")
 DEMO_PAGE = Path("pcm-jax-demo.html")
@@ -60,6 +61,7 @@ def parser() -> argparse.ArgumentParser:
     _inspect(commands)
     _explain(commands)
     _calibrate(commands)
+    _stream(commands)
     _evaluate(commands)
     _command(commands, "formats", "List the file formats and what is kept of each.")
     _simulate(commands)
@@ -210,6 +212,19 @@ def _explain(commands: Any) -> None:
         "closure", type=int, metavar="CLOSURE", help="its index in the report, from 0 on"
     )
     explain.add_argument("--json", action="store_true", help="print JSON instead of text")
+
+
+def _stream(commands: Any) -> None:
+    stream = _command(
+        commands,
+        "stream",
+        "Take the closures in files one after another, as a robot would meet them, and print a "
+        "line whenever it changes which of them are believed.",
+    )
+    _files(stream)
+    add_stream_options(stream)
+    _seed(stream, "of the shuffles that --minimum-inliers chance makes (default: 0)", None)
+    _reading(stream)
 
 
 def _evaluate(commands: Any) -> None:

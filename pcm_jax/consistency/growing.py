@@ -183,12 +183,11 @@ class GrowingPair:
         adjoint = np.asarray(lie.adjoint(reached))
         placed = np.asarray(lie.parameters(lie.compose(reached, lie.inverse(frame_b)))).T
         noise = _twice(adjoint @ covariance @ adjoint.swapaxes(1, 2)) / 2.0
-        unsaid, out = np.zeros((self._dim, self._dim, len(closures))), None
+        unsaid = np.zeros((self._dim, self._dim, len(closures)))
         if free is not None:
-            out = carried(_Unsaid(measured, frame_a, free))
-            unsaid[: len(out)] = out
+            unsaid[: free.shape[-1]] = carried(_Unsaid(measured, frame_a, free))
         parts = placed, noise, *owns, unsaid.reshape(self._dim**2, -1)
-        return np.concatenate(parts), out is not None
+        return np.concatenate(parts), free is not None
 
     def _bounds(self, old: Float[np.ndarray, "s n"], new: _One) -> list[np.ndarray]:
         """More than Ga_ij and Gb_ij, packed: 2 (C_ii + C_jj)."""

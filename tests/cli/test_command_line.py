@@ -21,6 +21,7 @@ def test_version_and_help(run):
         ["merge"],
         ["inspect"],
         ["explain"],
+        ["stream"],
         ["evaluate"],
         ["simulate"],
         ["simulate", "city"],
