@@ -51,7 +51,7 @@ def read(path: Path) -> tuple[dict[str, Any], Arrays]:
         OSError: for one that cannot be opened.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         meta = json.loads(arrays.pop("meta").tobytes())
         version, found = meta.pop("version"), meta.pop("digest")
