@@ -24,8 +24,8 @@ from pcm_jax.consistency._closed_form import (
     limits_in_numpy,
     own_loop_kernel,
 )
-from pcm_jax.consistency._limit import Limit
 from pcm_jax.consistency.definition import jacfwd_kernel
+from pcm_jax.consistency.limit import Limit
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError, check_class

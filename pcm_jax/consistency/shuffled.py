@@ -27,8 +27,8 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency._closed_form import squared_one_way
-from pcm_jax.consistency._limit import columns_of, comparable
 from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.limit import columns_of, comparable
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.lie import unrolled
 

@@ -88,8 +88,9 @@ def _accepted(told: Any) -> str:
 def _afterwards(told: Any) -> str:
     if told.fit is None:
         return ""
-    expected = len(told.fit.residual)
-    return f"; in the merged map its chi-squared is {number(told.fit.chi2)} ({expected} expected)"
+    return (
+        f"; in the merged map its chi-squared is {number(told.fit.chi2)} ({told.fit.dof} expected)"
+    )
 
 
 def _between(told: Any) -> str:

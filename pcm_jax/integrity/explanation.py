@@ -78,7 +78,7 @@ class Explanation:
             "agreeing": self.agreeing,
             "worst_conflict": self.worst_conflict and self.worst_conflict.as_dict(),
             "enters_at": self.enters_at,
-            "fit": fit and {"chi2": fit.chi2, "p": fit.p, "residual": fit.by_axis},
+            "fit": fit and {"chi2": fit.chi2, "p": fit.p, "dof": fit.dof, "residual": fit.by_axis},
         }
 
     def __repr__(self) -> str:

@@ -14,7 +14,7 @@ from scipy.linalg import null_space
 import pcm_jax as pcm
 from pcm_jax import lie
 from pcm_jax.consistency import joint_consistency, squared_rows
-from pcm_jax.consistency._limit import comparable, gates
+from pcm_jax.consistency.limit import comparable, gates
 from pcm_jax.consistency.mahalanobis import freedom_of, limits_of
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files.formats.jrl import write_jrl
