@@ -198,7 +198,15 @@ class _Group:
         """The group with what comes back."""
         joint = self._joint_test()
         eligible = doubt & ~self.used & recalling
-        found = recall(self.joint, self.used, eligible, joint, confidence=confidence, engine=engine)
+        found = recall(
+            self.joint,
+            self.used,
+            eligible,
+            joint,
+            accepted=doubt & self.used,
+            confidence=confidence,
+            engine=engine,
+        )
         moved = self.joint.with_poses(found.poses)
         part = _Part(found.joint, found.rounds, found.settled)
         return dataclasses.replace(self, joint=moved, used=found.used), part
