@@ -155,8 +155,8 @@ class ShuffledClosures:
             of[: self.count] = each
             shuffled = dataclasses.replace(
                 self._problem,
-                measurement=lie.take(self._problem.measurement, of),
-                measurement_covariance=self._problem.measurement_covariance[of],
+                measurement=lie.take(lie.as_numpy(self._problem.measurement), of),
+                measurement_covariance=np.asarray(self._problem.measurement_covariance)[of],
             )
             squared = weighed_if_compiled(shuffled, 2 * near // len(order))
             if squared is None:
