@@ -11,7 +11,7 @@ PACKAGE = ROOT / "pcm_jax"
 ORDER = (
     *("errors", "arrays", "compiling", "store", "tables"),
     *("lie", "graph", "files", "sparse", "mapping", "consistency", "clique"),
-    *("selection", "integrity", "merging", "online", "pipeline", "simulation", "evaluation"),
+    *("selection", "integrity", "merging", "pipeline", "online", "simulation", "evaluation"),
     *("plots", "report", "experiments", "cli"),
 )
 ONLY_IMPORT = {
@@ -36,7 +36,6 @@ MISNAMED = {
     "lie/se3.py",
     "mapping/_linearization.py",
     "merging/robust/weights.py",
-    "pipeline/stages.py",
 }
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 LAYERED = [name for name in MODULES if name not in ("__init__.py", "__main__.py")]

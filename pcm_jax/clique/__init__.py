@@ -11,6 +11,7 @@ _weighted       the same for the heaviest
 _ties           one of several that are equally large, or heavy
 _heaviest       the walk through the above with weights
 maximum         `maximum_clique`, which walks through them
+growing         `GrowingClique`: the same as vertices come and go
 result          `Clique`, with its certificate
 _bitset         sets of nodes as integers
 _words          sets of nodes as machine words, for kernels
@@ -18,7 +19,8 @@ batched         `maximum_clique_batched`: many small graphs in one compiled prog
 """
 
 from pcm_jax.clique.batched import BatchedCliques, maximum_clique_batched
+from pcm_jax.clique.growing import GrowingClique
 from pcm_jax.clique.maximum import maximum_clique
 from pcm_jax.clique.result import Clique
 
-__all__ = ["BatchedCliques", "Clique", "maximum_clique", "maximum_clique_batched"]
+__all__ = ["BatchedCliques", "Clique", "GrowingClique", "maximum_clique", "maximum_clique_batched"]

@@ -134,6 +134,7 @@ def largest_clique(
     *,
     ceiling: float = np.inf,
     deadline: float = np.inf,
+    steps: float = np.inf,
 ) -> Outcome:
     """The largest clique among `candidates` that has more than `floor` members.
 
@@ -145,6 +146,7 @@ def largest_clique(
         floor: only larger cliques are looked for.
         ceiling: the first clique of this size ends the search.
         deadline: reading of `time.perf_counter` at which the search gives up.
+        steps: branches after which it gives up.
     """
     neighbours, uncoloured = graph.neighbours, graph.uncoloured
     best, found = floor, None
@@ -163,7 +165,8 @@ def largest_clique(
             best, found = best + 1, [*path, label]
             if best >= ceiling:
                 return Outcome(found)
-        if perf_counter() > deadline:
+        steps -= 1
+        if steps < 0 or perf_counter() > deadline:
             root = stack[0][0] | graph.single[path[0]] if stack else candidates
             return Outcome(found, root)
         candidates ^= lowest

@@ -18,6 +18,7 @@ graph               `consistency_graph`: an edge where a pair passes in both dir
 packed              `PackedGraph`: a graph of one bit a pair
 streaming           all of it for tens of thousands of closures, panel by panel, straight to bits
 shuffled            the pairs that agree once measurements are shuffled: what chance does
+growing             `GrowingPair`: closures that come one by one, a row of Q each
 evidence            `Evidence`: what every pair of robots' closures say of each other
 stacked             the errors of k closures about one alignment, and their covariance
 joint               `joint_consistency`: whether all closures of a set can be right together
@@ -27,6 +28,7 @@ from pcm_jax.consistency.definition import loop_error, squared_mahalanobis_of
 from pcm_jax.consistency.evidence import Evidence, PairEvidence
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
+from pcm_jax.consistency.growing import GrowingPair
 from pcm_jax.consistency.joint import (
     AlignmentDifference,
     JointConsistency,
@@ -43,6 +45,7 @@ from pcm_jax.consistency.mahalanobis import (
 from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import (
     ConsistencyProblem,
+    bytes_needed,
     consistency_problem,
     problem_from_covariances,
 )
@@ -66,12 +69,14 @@ __all__ = [
     "ConsistencyProblem",
     "ConsistentPairs",
     "Evidence",
+    "GrowingPair",
     "JointConsistency",
     "OwnLoops",
     "PackedGraph",
     "PairEvidence",
     "WithinProblem",
     "alignment_difference",
+    "bytes_needed",
     "chi2_gate",
     "consistency_graph",
     "consistency_problem",

@@ -49,6 +49,7 @@ class PairEvidence:
     covariances: tuple[MapCovariance, MapCovariance] | None = None
     _squared: Float[np.ndarray, "k k"] | None = None
     _freedom: Int[np.ndarray, "k k"] | None = None
+    _distances: Callable[[], Limit] | None = None
     _stream: Callable[[float], PackedGraph] | None = None
     _metric: Callable[[LoopClosures], Float[np.ndarray, "k k"]] | None = None
     _kept: OrderedDict[float, PackedGraph] = field(default_factory=OrderedDict)
@@ -71,17 +72,54 @@ class PairEvidence:
         return len(self.closures)
 
     def __repr__(self) -> str:
-        kept = "distances kept" if self._squared is not None else "streamed: a graph for each gate"
+        kept = "streamed: a graph for each gate" if self.is_streamed else "distances kept"
         return (
             f"PairEvidence(robots {self.robot_a} and {self.robot_b})\n"
             f"  closures  {len(self)}\n"
             f"  evidence  {kept}"
         )
 
+    @classmethod
+    def with_graph(
+        cls,
+        robots: tuple[int, int],
+        closures: Int[np.ndarray, " k"],
+        measured: LoopClosures,
+        covariances: tuple[MapCovariance, MapCovariance],
+        known: tuple[float, PackedGraph] | None,
+        **found: Callable[..., Any],
+    ) -> PairEvidence:
+        """Makes evidence whose graph at one gate is known, before any distance is asked for.
+
+        Args:
+            robots: a and b.
+            closures: as the attribute of that name.
+            measured: likewise.
+            covariances: likewise.
+            known: a gate and the graph at it; None: none is known.
+            **found: how anything else is found when it is asked for: `distances`, without
+                arguments, or `stream`, of a gate, where distances take too much memory; `metric`
+                for those of a function of one's own.
+        """
+        ways: dict[str, Any] = {f"_{name}": way for name, way in found.items()}
+        evidence = cls(*robots, closures, measured, covariances, **ways)
+        if known is not None:
+            evidence._kept[known[0]] = known[1]
+        return evidence
+
     @property
     def is_streamed(self) -> bool:
         """True where the distances took more memory than allowed: only graphs are at hand."""
-        return self._squared is None
+        return self._squared is None and self._distances is None
+
+    def _found(self) -> Limit | None:
+        """Distances and degrees of freedom, computed when first asked; None where streamed."""
+        with self._lock:
+            if self._squared is None and self._distances is not None:
+                squared, freedom = self._distances()
+                object.__setattr__(self, "_freedom", freedom)
+                object.__setattr__(self, "_squared", squared)
+        return None if self._squared is None else Limit(self._squared, self._freedom)
 
     @property
     def squared(self) -> Float[np.ndarray, "k k"]:
@@ -90,17 +128,19 @@ class PairEvidence:
         Raises:
             InputError: if they take more memory than `weigh` was allowed.
         """
-        if self._squared is None:
+        found = self._found()
+        if found is None:
             raise InputError(
                 f"squared: not kept for the {len(self)} closures between robots {self.robot_a} "
                 f"and {self.robot_b}, expected a larger memory_limit for them"
             )
-        return self._squared
+        return found.squared
 
     @property
     def freedom(self) -> Int[np.ndarray, "k k"] | None:
         """Degrees of freedom of each pair's q²; None where all have d (see `freedom_of`)."""
-        return self._freedom
+        found = self._found()
+        return None if found is None else found.freedom
 
     @property
     def comparable(self) -> Float[np.ndarray, "k k"]:
@@ -112,9 +152,10 @@ class PairEvidence:
         Raises:
             InputError: as `squared`.
         """
-        if self._freedom is None or self.measured is None:
-            return self.squared
-        return comparable(self.squared, self._freedom, self.measured.tangent_dim)
+        squared, freedom = self.squared, self.freedom
+        if freedom is None or self.measured is None:
+            return squared
+        return comparable(squared, freedom, self.measured.tangent_dim)
 
     def problem(self) -> ConsistencyProblem:
         """Gathers the input of Q anew: Mahalanobis evidence does not keep what is easily rebuilt.
@@ -157,7 +198,7 @@ class PairEvidence:
 
     def packed(self, gate: float) -> PackedGraph:
         """The consistency graph, one bit a pair; a streamed one is kept for the last gates."""
-        if self._squared is not None:
+        if gate not in self._kept and not self.is_streamed:
             dense = self.consistent(gate)
             return PackedGraph(np.packbits(dense, axis=1), len(dense))
         with self._lock:
@@ -175,7 +216,7 @@ class PairEvidence:
         Args:
             gate: γ², see `chi2_gate`.
         """
-        if self._squared is None:
+        if gate in self._kept or self.is_streamed:
             return self.packed(gate).dense()
         return np.asarray(consistency_graph(self.comparable, gate))  # type: ignore[arg-type]
 

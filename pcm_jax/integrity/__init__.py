@@ -28,15 +28,24 @@ from pcm_jax.integrity.residuals import Fit, StrainedEdge, strained_edges
 from pcm_jax.integrity.rivals import Rival, strongest_rival
 from pcm_jax.integrity.team import Cycle, cycles_of, judge_team, minority
 from pcm_jax.integrity.triage import Finding, triage
-from pcm_jax.integrity.verdict import Verdict, holm, judge_by_chance, judge_by_number
+from pcm_jax.integrity.verdict import (
+    AS_ASKED,
+    Doubts,
+    Verdict,
+    holm,
+    judge_by_chance,
+    judge_by_number,
+)
 
 __all__ = [
+    "AS_ASKED",
     "SIGNIFICANCE",
     "STANDINGS",
     "Calibration",
     "ChanceLevel",
     "Conflict",
     "Cycle",
+    "Doubts",
     "Explanation",
     "Factor",
     "Factors",

@@ -9,9 +9,9 @@ believed only if no other alignment is supported about as well (`rivals`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,6 +23,21 @@ from pcm_jax.integrity.rivals import Rival, strongest_rival
 
 ROUNDING = 1e-12
 """By which a p-value may exceed a level that it equals."""
+
+
+class Doubts(NamedTuple):
+    """The two costly questions on a set; whoever asks again and again hands in ones that remember.
+
+    Attributes:
+        chance: as `chance_level`.
+        rival: as `strongest_rival`.
+    """
+
+    chance: Callable[..., ChanceLevel]
+    rival: Callable[..., Rival | None]
+
+
+AS_ASKED = Doubts(chance_level, strongest_rival)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,6 +102,7 @@ def judge_by_chance(
     separation: float | None = None,
     on_ambiguous: str = "split",
     seed: int = 0,
+    doubts: Doubts = AS_ASKED,
 ) -> list[Verdict]:
     """Judges the sets that a method found, all pairs of robots together.
 
@@ -98,6 +114,7 @@ def judge_by_chance(
         on_ambiguous: "split": a set with a rival about as good is not believed (see `rivals`);
             "largest": it is, and said to be ambiguous.
         seed: of the shuffles.
+        doubts: where chance levels and rivals come from.
 
     Returns:
         A verdict a pair.
@@ -109,7 +126,7 @@ def judge_by_chance(
     for evidence, members in pairs:
         places = places_of(evidence, separation, gate=gate, members=members)
         level = significance / len(pairs)
-        chance = chance_level(evidence, gate, places, members, significance=level, seed=seed)
+        chance = doubts.chance(evidence, gate, places, members, significance=level, seed=seed)
         found.append((members, places, chance))
     passed = holm(np.array([chance.p_value for _, _, chance in found]), significance)
     verdicts = []
@@ -117,7 +134,7 @@ def judge_by_chance(
         rival = None
         if passes:
             asked: dict[str, Any] = {"significance": significance, "seed": seed}
-            rival = strongest_rival(pair[0], gate, places, members, **asked)
+            rival = doubts.rival(pair[0], gate, places, members, **asked)
         ambiguous = rival is not None and rival.ambiguous
         why = _why(bool(passes), members, places, chance, significance, len(pairs))
         verdicts.append(

@@ -31,7 +31,13 @@ from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, wit
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.mapping.priors import held, priors_of
 from pcm_jax.sparse.cholesky import CholeskyFactor, NotPositiveDefiniteError
-from pcm_jax.sparse.inverse import inverse_block, inverse_columns, inverse_diagonal
+from pcm_jax.sparse.inverse import (
+    inverse_block,
+    inverse_column,
+    inverse_columns,
+    inverse_diagonal,
+    inverse_own,
+)
 from pcm_jax.sparse.system import system_for
 
 SIDES = ("right", "left")
@@ -72,6 +78,8 @@ class MapCovariance:
             )
         self._lock = threading.Lock()
         self._factor: CholeskyFactor | None = None
+        self._trunk: MapCovariance = self
+        self._grown: Float[np.ndarray, "g d d"] = np.zeros((0, self._dim, self._dim))
         self._held = 0 if priors_of(pose_graph) is None else pose_graph.num_poses
 
     def __reduce__(self) -> Any:
@@ -155,6 +163,77 @@ class MapCovariance:
         solution = inverse_columns(factor, wanted, right)
         return CovarianceColumns(self.adjoint, factor.plan.position, solution)
 
+    def column(self, pose: int, others: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k d d"]:
+        """The covariance of some poses with one, left perturbations of `frame`.
+
+        One solve, and in a map that has grown by its odometry (`extend`) that of the map before.
+
+        Args:
+            pose: an index.
+            others: `[k]` indices, not checked.
+
+        Returns:
+            `[j]` is Cov(ξ of `others[j]`, ξ of `pose`).
+        """
+        trunk = self._trunk
+        last = trunk.pose_graph.num_poses - 1
+        anchor, reached = min(pose, last), np.minimum(others, last)
+        if anchor == trunk._held:
+            found = np.zeros((len(others), self._dim, self._dim))
+        else:
+            factor = trunk.factor()
+            solved = inverse_column(factor, anchor, trunk.adjoint[anchor].T)
+            found = trunk.adjoint[reached] @ solved[factor.plan.position[reached]]
+            found[reached == trunk._held] = 0.0
+        if pose > last:
+            shared = np.minimum(others, pose) - last
+            beyond = shared > 0
+            found[beyond] += self._grown[shared[beyond] - 1]
+        return found
+
+    def own(self, pose: int) -> Float[np.ndarray, "d d"]:
+        """The covariance of one pose, left perturbations of `frame`: as `column` of it has it.
+
+        Args:
+            pose: an index, not checked.
+        """
+        trunk = self._trunk
+        last = trunk.pose_graph.num_poses - 1
+        anchor, found = min(pose, last), np.zeros((self._dim, self._dim))
+        if anchor != trunk._held:
+            found = inverse_own(trunk.factor(), anchor, trunk.adjoint[anchor].T)
+        return found if pose <= last else found + self._grown[pose - last - 1]
+
+    @on_host
+    def extend(self, pose_graph: PoseGraph) -> MapCovariance:
+        """The covariance of a map that has grown by steps of odometry from its last pose on.
+
+        A pose that one edge alone joins to the map changes no other: with X exp(δ) measured from
+        the pose before, ξ = ξ_before + Ad(X) δ. So `column` needs no new factorisation; whatever
+        else is asked makes one.
+
+            grown = covariance.extend(longer)   # longer.poses[:n] are the poses of before
+
+        Args:
+            pose_graph: the map, with edges (n − 1, n), (n, n + 1), …, behind those it had, and the
+                new poses where these put them.
+
+        Raises:
+            InputError: for another map than that: `MapCovariance` then starts anew.
+        """
+        before, count = self.pose_graph, pose_graph.num_poses
+        steps = _odometry_steps(before, pose_graph)
+        grown = MapCovariance(pose_graph, origin=self.origin)
+        placed = lie.take(grown._poses, np.arange(before.num_poses, count))
+        values = np.array(lie.parameters(placed))
+        values[:, -len(self.origin) :] -= self.origin
+        adjoint = np.asarray(lie.adjoint(lie.group_of(placed)(values)))
+        own = adjoint @ steps @ adjoint.swapaxes(1, 2)
+        start = self._grown[-1] if len(self._grown) else np.zeros((self._dim, self._dim))
+        grown._trunk = self._trunk
+        grown._grown = np.concatenate([self._grown, start + np.cumsum(own, axis=0)])
+        return grown
+
     def factor(self) -> CholeskyFactor:
         """The factor of H; see `covariance_factor`."""
         with self._lock:
@@ -221,6 +300,25 @@ def joint_marginal_covariance(
     """
     check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     return MapCovariance(pose_graph).joint(poses)
+
+
+def _odometry_steps(before: PoseGraph, after: PoseGraph) -> Float[np.ndarray, "g d d"]:
+    """Covariances of the new steps of odometry, each a right perturbation of the pose reached."""
+    old, edges = before.num_poses, slice(before.num_edges, None)
+    tail, head = (np.asarray(end)[edges] for end in (after.tail, after.head))
+    backward = tail > head
+    low, high = np.where(backward, head, tail), np.where(backward, tail, head)
+    if not (np.array_equal(high, np.arange(old, after.num_poses)) and (low == high - 1).all()):
+        raise InputError(
+            f"pose_graph {after.name!r}: expected the {old} poses and {before.num_edges} edges of"
+            " before, and one edge from each pose to the next from there on"
+        )
+    covariance = np.linalg.inv(np.asarray(after.information)[edges])
+    if backward.any():  # X_n = X_(n-1) z⁻¹: an error z exp(δ) moves it by −Ad(z) δ
+        turned = np.asarray(lie.adjoint(lie.take(lie.as_numpy(after.measurement), edges)))
+        carried = turned @ covariance @ turned.swapaxes(1, 2)
+        covariance = np.where(backward[:, None, None], carried, covariance)
+    return covariance
 
 
 def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:

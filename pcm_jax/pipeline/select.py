@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,10 @@ from pcm_jax.arrays import on_host
 from pcm_jax.consistency import Evidence, chi2_gate
 from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.integrity import judge_by_chance, judge_by_number, judge_team
+from pcm_jax.integrity import AS_ASKED, Doubts, judge_by_chance, judge_by_number, judge_team
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
-from pcm_jax.selection import PairSelection, Selection, choose
+from pcm_jax.selection import Choice, PairSelection, Selection, choose
 from pcm_jax.selection.choose import Method, check_method, name_of, needs_distances
 from pcm_jax.selection.weights import check_weights, weights_for
 
@@ -119,11 +120,43 @@ def select(
             weights = weights_for(method, pair)
             choices.append(choose(pair, gate, method=method, **options, **weights))
     tell("clique", len(choices), len(choices))
+    names = name_of(method), confidence, gate
+    by = {"separation": separation, **asked}
+    return decide(evidence, choices, names, minimum_inliers, watch, tell, **by)
+
+
+def decide(
+    evidence: Evidence,
+    choices: Sequence[Choice],
+    names: tuple[str, float, float],
+    minimum_inliers: int | str,
+    watch: StopWatch,
+    tell: Progress = silent,
+    *,
+    separation: float | None = None,
+    doubts: Doubts = AS_ASKED,
+    **of_chance: Any,
+) -> Selection:
+    """Judges what a method chose, all pairs of robots together: the last step of `select`.
+
+    Args:
+        evidence: of the graph.
+        choices: one for each of its pairs.
+        names: the method's name, the confidence and γ².
+        minimum_inliers: as for `select`.
+        watch: to which "chance" is added, and whose seconds are told.
+        tell: of progress.
+        separation: as for `select`.
+        doubts: where chance levels and rivals come from.
+        **of_chance: `significance`, `on_ambiguous` and `seed`, where given.
+    """
+    gate = names[2]
     found = [(pair, choice.members) for pair, choice in zip(evidence.pairs, choices, strict=True)]
     tell("chance", 0, 1)
     with watch("chance"):
         if minimum_inliers == CHANCE:
-            verdicts = judge_by_chance(found, gate, separation=separation, **asked)
+            by: dict[str, Any] = {"separation": separation, "doubts": doubts, **of_chance}
+            verdicts = judge_by_chance(found, gate, **by)
             verdicts, team = judge_team(found, verdicts)
         else:
             minimum, team = int(minimum_inliers), ()
@@ -134,7 +167,6 @@ def select(
         pairs.append(PairSelection.of_choice(pair, gate, choice, verdict))
         accepted[pair.closures] = pairs[-1].accepted
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
-    names = name_of(method), confidence, gate
     return Selection(accepted, tuple(pairs), *names, evidence, seconds, team)
 
 

@@ -107,15 +107,26 @@ def weigh(
 
 
 def optimized_maps(
-    maps: tuple[PoseGraph, ...], optimized: bool, tell: Progress = silent
+    maps: tuple[PoseGraph, ...],
+    optimized: bool,
+    tell: Progress = silent,
+    *,
+    initial: str = "chordal",
 ) -> tuple[PoseGraph, ...]:
-    """Each map at its own optimum; the given ones if they are `optimized` already."""
+    """Each map at its own optimum; the given ones if they are `optimized` already.
+
+    Args:
+        maps: of the robots.
+        optimized: whether there is nothing to do.
+        tell: of progress.
+        initial: where `optimize` starts.
+    """
     if optimized:
         return maps
     found = []
     for number, one in enumerate(maps):
         tell("optimize", number, len(maps))
-        found.append(_optimised(one))
+        found.append(_optimised(one, initial))
     tell("optimize", len(maps), len(maps))
     return tuple(found)
 
@@ -128,8 +139,8 @@ def checked_limit(memory_limit: float) -> float:
     return memory_limit
 
 
-def _optimised(pose_graph: PoseGraph) -> PoseGraph:
-    solution = optimize(pose_graph)
+def _optimised(pose_graph: PoseGraph, initial: str) -> PoseGraph:
+    solution = optimize(pose_graph, initial=initial)
     if not solution.converged:
         warnings.warn(
             f"map {pose_graph.name!r}: optimisation stopped after {solution.iterations} steps "

@@ -114,6 +114,7 @@ class Selection:
         seconds: wall-clock time of `"optimize"`, `"marginals"`, `"consistency"`, `"clique"` and
             `"chance"`; those of the evidence are what it took when it was made.
         team: the cycles of robots over believed pairs, see `integrity.Cycle`.
+        waiting: closures that wait for poses that have not come yet, see `IncrementalPcm`.
     """
 
     accepted: Bool[np.ndarray, " m"]
@@ -124,6 +125,7 @@ class Selection:
     evidence: Evidence
     seconds: dict[str, float]
     team: tuple[Any, ...] = ()
+    waiting: int = 0
 
     def __repr__(self) -> str:
         names = self.evidence.graph.names

@@ -11,6 +11,7 @@ before (`assembly.plan_for`).
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterator
 
@@ -80,6 +81,15 @@ class CholeskyFactor:
             known = coupling.transpose(0, 2, 1) @ rows[group.rest_rows]
             rows[group.pivot_rows] = inverse.transpose(0, 2, 1) @ (solved - known)
             rows[padding:] = 0.0
+
+    @functools.cached_property
+    def back(self) -> list[Float[np.ndarray, "b p r"]]:
+        """Per group L⁻ᵀ Xᵀ: what the solution at a front's rest takes from that at its pivots."""
+        with registry.blas.one():
+            return [
+                np.matmul(inverse.transpose(0, 2, 1), coupling.transpose(0, 2, 1))
+                for _, inverse, coupling in self.fronts()
+            ]
 
     def fronts(self) -> Iterator[tuple[FrontGroup, np.ndarray, np.ndarray]]:
         """Groups in the order of factorisation, each with its L⁻¹ and X."""

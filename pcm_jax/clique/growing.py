@@ -1,0 +1,254 @@
+"""The maximum clique of a graph whose vertices come and go, proven after every step.
+
+A vertex that comes raises the size ω by at most one, and only as a member: if its neighbours hold a
+clique of ω. If they hold the whole clique in hand, that is seen at once; else only those count that
+have ω − 1 others among them, which leaves nothing of a vertex that few agree with. A vertex that
+goes lowers ω by at most one, and only if it was in every maximum clique: the search is then for one
+of ω, and ends with its first success.
+
+Of several maximum cliques the first by index is the one of `maximum_clique`. It changes only by
+vertices that come or leave it: with C the first so far and v a new vertex,
+
+    ω stays    the first is C or a clique with v as its last member, whichever is smaller
+    ω rises    every maximum clique holds v; if v agrees with all of C, C and v are the first
+
+since a clique of ω among v's neighbours was one of those of which C is the first.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from pcm_jax.clique._exact import BitGraph, largest_clique
+from pcm_jax.clique._ties import smallest_by_index
+from pcm_jax.clique.maximum import maximum_clique
+
+STEPS = 256
+"""Branches of the search at a vertex that comes: some milliseconds. What they do not decide waits
+until it is asked for, and is then decided for all vertices that came by one search."""
+FEW = 8
+"""Vertices that came, up to which the first clique is looked for among the neighbours of each."""
+UNDECIDED = -1
+
+
+class GrowingClique:
+    """A graph of vertices 0 … m − 1, the last one the newest, and its maximum clique.
+
+        growing = GrowingClique()
+        for row in graph:
+            growing.add(row[: len(growing)])
+        growing.first()                 # as maximum_clique(graph).members
+
+    A vertex that goes moves those behind it up by one. A proof that takes longer waits until `size`
+    or `first` is asked for, so that no step costs much, and no answer more than a whole search.
+    """
+
+    def __init__(self) -> None:
+        self._near: list[int] = []
+        self._members = 0
+        self._most = 0  # no clique is larger
+        self._first: int | None = 0  # the first by index as of the vertices before `_since`
+        self._since: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._near)
+
+    def __repr__(self) -> str:
+        known = self._members.bit_count()
+        told = f"{known}" if known == self._most else f"{known} to {self._most}"
+        return f"GrowingClique({len(self)} vertices, largest clique {told})"
+
+    @classmethod
+    def of_graph(cls, graph: Bool[np.ndarray, "m m"]) -> GrowingClique:
+        """Starts from a graph, whose clique is searched for when it is asked for.
+
+        Args:
+            graph: symmetric, the diagonal false.
+        """
+        growing = cls()
+        packed = np.packbits(graph, axis=1, bitorder="little")
+        growing._near = [int.from_bytes(row.tobytes(), "little") for row in packed]
+        if growing._near:
+            growing._members, growing._first = 1, None
+            growing._most = 1 + max(near.bit_count() for near in growing._near)
+        return growing
+
+    def copy(self) -> GrowingClique:
+        """Copies the state: sets are numbers, so this costs a list."""
+        twin = GrowingClique()
+        twin._near, twin._members, twin._most = list(self._near), self._members, self._most
+        twin._first, twin._since = self._first, list(self._since)
+        return twin
+
+    @property
+    def size(self) -> int:
+        """Members of a maximum clique, ω."""
+        self._settle()
+        return self._most
+
+    def rows(self) -> list[int]:
+        """The neighbours of each vertex as a set: bit v stands for vertex v."""
+        return self._near
+
+    def dense(self) -> Bool[np.ndarray, "m m"]:
+        """The graph, bool `[m, m]`."""
+        count = len(self)
+        return self._table(np.arange(count)) if count else np.zeros((0, 0), bool)
+
+    def add(self, agrees: Bool[np.ndarray, " m"]) -> int:
+        """Adds a vertex, and returns it.
+
+        Args:
+            agrees: `[m]`, the vertices so far that it is adjacent to.
+        """
+        vertex, near, known = len(self), _as_set(agrees), self._members.bit_count()
+        own, settled = 1 << vertex, known == self._most
+        self._near.append(near)
+        for other in np.flatnonzero(agrees).tolist():
+            self._near[other] |= own
+        found = self._members if self._members & ~near == 0 else self._clique(near, known, STEPS)
+        self._most += found is not None
+        if found is None or found == UNDECIDED:
+            self._since.append(vertex)
+        else:
+            self._grow(own, near, found, settled)
+        return vertex
+
+    def remove(self, vertex: int) -> None:
+        """Takes a vertex away; those behind it move up by one."""
+        own = 1 << vertex
+        self._since = [other - (other > vertex) for other in self._since if other != vertex]
+        if self._first is not None and self._first & own:
+            self._first = None
+        if self._members & own:
+            self._members = self._members ^ own if self._first is None else self._first
+        del self._near[vertex]
+        self._near = [_without(near, vertex) for near in self._near]
+        self._members = _without(self._members, vertex)
+        self._first = None if self._first is None else _without(self._first, vertex)
+        self._most = min(self._most, len(self))
+        if not self._members and self._near:
+            self._members = 1
+
+    def first(self) -> Bool[np.ndarray, " m"]:
+        """The maximum clique that is the first by index, as a mask."""
+        self._settle()
+        size = self._most
+        earlier = {v: self._near[v] & ((1 << v) - 1) for v in self._since}
+        if self._first is None or len(earlier) > FEW:
+            whole = (1 << len(self)) - 1
+            self._first = self._clique(whole, size, known=self._members, first=True)
+            earlier = {}
+        for vertex, near in earlier.items():
+            found = self._clique(near, size - 1, first=True)
+            if found is not None and _precedes(found | 1 << vertex, self._first or 0):
+                self._first = found | 1 << vertex
+        self._since, self._members = [], self._first or 0
+        return _as_mask(self._members, len(self))
+
+    def _grow(self, own: int, near: int, found: int, settled: bool) -> None:
+        self._members = found | own
+        first = self._first if settled and not self._since else None
+        self._first = None if first is None or first & ~near else first | own
+        self._since = []
+
+    def _settle(self) -> None:
+        """Closes the gap between the clique in hand and the bound on the largest."""
+        known = self._members.bit_count()
+        if known == self._most:
+            return
+        found = self._clique((1 << len(self)) - 1, known + 1, STEPS)
+        if found is not None:
+            self._first, self._since = None, []
+            if found == UNDECIDED or known + 1 < self._most:
+                found = self._first = _as_set(maximum_clique(self.dense()).members)
+            self._members = found
+        self._most = self._members.bit_count()
+
+    def _clique(
+        self,
+        candidates: int,
+        size: int,
+        steps: float = math.inf,
+        *,
+        known: int | None = None,
+        first: bool = False,
+    ) -> int | None:
+        """A clique of some size among candidates; None where none is, or `UNDECIDED`.
+
+        Args:
+            candidates: a set of vertices.
+            size: of the clique.
+            steps: of the search, at most.
+            known: such a clique, if one is known.
+            first: whether it has to be the first by index, of candidates that hold none larger.
+        """
+        if size == 0:
+            return 0
+        vertices, table = self._inside(candidates, size - 1)
+        if len(vertices) < size:
+            return None
+        graph = BitGraph(table)
+        if known is None:
+            outcome = largest_clique(graph, graph.everything, size - 1, ceiling=size, steps=steps)
+            if outcome.labels is None and outcome.unsettled:
+                return UNDECIDED
+            labels = outcome.labels
+        else:
+            inside = np.flatnonzero(_as_mask(known, len(self)))
+            labels = graph.labels_of(np.searchsorted(vertices, inside))
+        if labels is not None and first:
+            labels = smallest_by_index(graph, labels, np.inf)
+        return None if labels is None else _set_of(vertices[graph.vertices_of(labels)])
+
+    def _inside(
+        self, candidates: int, degree: int
+    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, "n n"]]:
+        """Candidates with so many neighbours among them, ascending, and the graph of them."""
+        vertices = np.flatnonzero(_as_mask(candidates, len(self)))
+        while len(vertices) > degree:
+            few = [
+                v for v in vertices.tolist() if (self._near[v] & candidates).bit_count() < degree
+            ]
+            if not few:
+                return vertices, self._table(vertices)
+            candidates &= ~_set_of(np.array(few))
+            vertices = np.setdiff1d(vertices, few, assume_unique=True)
+        return vertices[:0], np.zeros((0, 0), bool)
+
+    def _table(self, vertices: Int[np.ndarray, " n"]) -> Bool[np.ndarray, "n n"]:
+        size = -(-len(self) // 8)
+        raw = b"".join(self._near[v].to_bytes(size, "little") for v in vertices.tolist())
+        packed = np.frombuffer(raw, np.uint8).reshape(len(vertices), size)
+        whole = np.unpackbits(packed, axis=1, count=len(self), bitorder="little").view(np.bool_)
+        return whole if len(vertices) == len(self) else whole[:, vertices]
+
+
+def _as_set(mask: Bool[np.ndarray, " m"]) -> int:
+    return int.from_bytes(np.packbits(mask, bitorder="little").tobytes(), "little")
+
+
+def _as_mask(members: int, count: int) -> Bool[np.ndarray, " m"]:
+    raw = np.frombuffer(members.to_bytes(-(-count // 8), "little"), np.uint8)
+    return np.unpackbits(raw, count=count, bitorder="little").view(np.bool_)
+
+
+def _set_of(vertices: Int[np.ndarray, " n"]) -> int:
+    found = 0
+    for vertex in vertices.tolist():
+        found |= 1 << vertex
+    return found
+
+
+def _without(members: int, vertex: int) -> int:
+    """The set of those that are left when a vertex has gone, by their new numbers."""
+    return members >> vertex + 1 << vertex | members & (1 << vertex) - 1
+
+
+def _precedes(left: int, right: int) -> bool:
+    """True if the smallest vertex that only one of two sets has is in the left one."""
+    different = left ^ right
+    return bool(left & different & -different)

@@ -1,0 +1,290 @@
+"""`GrowingPair`: closures between two robots that come one by one, and which of them agree.
+
+What Q needs of a closure by itself (`_closed_form`: where it puts map b, T, and its own noise, Z)
+is kept; of the maps' covariance only the block of each touched pose. What a new closure adds to G,
+
+    G_ij = C_ii + C_jj − C_ij − C_ijᵀ     of a new pose i and all j so far,
+
+takes one column of each map's covariance (`MapCovariance.column`), and is not kept: memory is that
+of the closures. Most new closures need none. The covariance of a difference is at most
+
+    G_ij  ⪯  2 (C_ii + C_jj)
+
+so M (`_closed_form`) with these in place of Ga and Gb is too large, and q² by it too small: pairs
+that it tells apart are apart. A false closure is mostly told from all others by that alone.
+
+Left perturbations are in a frame that stays (`MapCovariance.origin`), so what was found before
+stays true. Host; a row of Q is computed in NumPy until compiling pays.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pcm_jax import lie
+from pcm_jax.arrays import on_host
+from pcm_jax.compiling import Thrift
+from pcm_jax.consistency._closed_form import squared_one_way
+from pcm_jax.consistency._limit import carried, comparable
+from pcm_jax.consistency.mahalanobis import SECONDS_A_PAIR, SECONDS_TO_COMPILE
+from pcm_jax.graph import LoopClosures
+from pcm_jax.graph.unsaid import noise_of
+from pcm_jax.lie import unrolled
+from pcm_jax.mapping import MapCovariance
+
+AT_ONCE = 1024
+"""Closures that a compiled row is padded to: one program serves any number of them."""
+SMALLEST = 64
+"""Closures that there is room for at first; then twice as many, again and again."""
+ROUNDING = 1e-6
+"""By which rounding may move a bound, relative to the gate: far more than it does."""
+WORTH = 1000
+"""Pairs that take NumPy as long as all of its calls for a row take by themselves."""
+_thrift = Thrift(SECONDS_TO_COMPILE)
+
+
+class GrowingPair:
+    """The closures between two robots, one more at a time.
+
+        pair = GrowingPair(covariances, gate)
+        for one in closures:
+            agrees = pair.agreeing(one)     # with those so far
+            pair.append()
+
+    Args:
+        covariances: of map a and of map b.
+        gate: γ².
+    """
+
+    def __init__(self, covariances: tuple[MapCovariance, MapCovariance], gate: float) -> None:
+        self.covariances, self.gate = covariances, gate
+        self.count = 0
+        group = covariances[0].pose_graph.group
+        self._module, self._dim = lie.module_of(group), lie.tangent_dim(group)
+        packed = self._dim * (self._dim + 1) // 2
+        entries = lie.parameters(lie.identity(group)).shape[-1]
+        ends = np.cumsum([entries, packed, packed, packed, self._dim**2])
+        self._parts = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+        self._numbers = np.zeros((int(ends[-1]), SMALLEST))
+        self._poses = np.zeros((2, SMALLEST), np.int64)
+        self._unsaid = np.zeros(SMALLEST, bool)
+
+    def __len__(self) -> int:
+        return self.count
+
+    @on_host
+    def agreeing(self, one: LoopClosures) -> Bool[np.ndarray, " m"]:
+        """Marks the closures so far that a further one agrees with; it is not taken in by that.
+
+        Args:
+            one: a single closure, from robot a to robot b.
+
+        Raises:
+            InputError: for a map whose information is singular.
+        """
+        self._next = new = self._one(one)
+        agrees = np.zeros(self.count, bool)
+        left = np.arange(self.count)
+        old = self._numbers[:, : self.count]
+        if not (new.unsaid or self._unsaid[: self.count].any()):
+            bound = self._row(old, new, self._bounds(old, new))
+            left = np.flatnonzero(~(bound > self.gate * (1.0 + ROUNDING)).any(axis=0))
+        if len(left):
+            old = old[:, left]
+            squared = self._row(old, new, self._sides(old, new, self._poses[:, left]))
+            agrees[left] = (squared <= self.gate).all(axis=0)
+        return agrees
+
+    def append(self) -> None:
+        """Takes in the closure that `agreeing` was asked about last."""
+        if self.count == len(self._unsaid):
+            self._double()
+        self._numbers[:, self.count] = self._next.numbers[:, 0]
+        self._poses[:, self.count] = self._next.poses
+        self._unsaid[self.count] = self._next.unsaid
+        self.count += 1
+
+    @on_host
+    def take_in(self, closures: LoopClosures) -> None:
+        """Takes in many closures, without weighing them against any.
+
+        Args:
+            closures: from robot a to robot b.
+
+        Raises:
+            InputError: as `agreeing`.
+        """
+        owns = []
+        for covariance, touched in zip(
+            self.covariances, (closures.pose_a, closures.pose_b), strict=True
+        ):
+            poses, at = np.unique(np.asarray(touched), return_inverse=True)
+            owns.append(_twice(covariance.diagonal(poses, side="left"))[:, at] / 2.0)
+        numbers, unsaid = self._kept(closures, owns)
+        count = self.count + len(closures)
+        while count > len(self._unsaid):
+            self._double()
+        some = slice(self.count, count)
+        self._numbers[:, some] = numbers
+        self._poses[:, some] = closures.pose_a, closures.pose_b
+        self._unsaid[some], self.count = unsaid, count
+
+    def copy(self) -> GrowingPair:
+        """Copies the state; until one of the two has room to make, tables are shared.
+
+        What is appended lies behind the count, so the copy of before goes on where it was; of two
+        that both go on only the last one is good.
+        """
+        return copy.copy(self)
+
+    def remove(self, slot: int) -> None:
+        """Takes a closure out; those behind it move up by one."""
+        self._numbers, self._poses, self._unsaid = (
+            np.concatenate([table[..., :slot], table[..., slot + 1 :], table[..., [slot]]], axis=-1)
+            for table in (self._numbers, self._poses, self._unsaid)
+        )
+        self.count -= 1
+
+    def _double(self) -> None:
+        self._numbers, self._poses, self._unsaid = (
+            np.concatenate([table, np.zeros_like(table)], axis=-1)
+            for table in (self._numbers, self._poses, self._unsaid)
+        )
+
+    def _one(self, one: LoopClosures) -> _One:
+        poses = int(one.pose_a[0]), int(one.pose_b[0])
+        owns = [
+            _twice(covariance.own(pose)[None]) / 2.0
+            for covariance, pose in zip(self.covariances, poses, strict=True)
+        ]
+        numbers, unsaid = self._kept(one, owns)
+        return _One(numbers, poses, unsaid)
+
+    def _kept(
+        self, closures: LoopClosures, owns: list[np.ndarray]
+    ) -> tuple[Float[np.ndarray, "s c"], bool]:
+        """The numbers that are kept of closures, and whether any leaves directions unsaid."""
+        covariance, free = noise_of(np.asarray(closures.information, np.float64))
+        frame_a, frame_b = (
+            lie.take(each.frame, np.asarray(touched))
+            for each, touched in zip(
+                self.covariances, (closures.pose_a, closures.pose_b), strict=True
+            )
+        )
+        measured = lie.as_numpy(closures.measurement)
+        reached = lie.compose(frame_a, measured)
+        adjoint = np.asarray(lie.adjoint(reached))
+        placed = np.asarray(lie.parameters(lie.compose(reached, lie.inverse(frame_b)))).T
+        noise = _twice(adjoint @ covariance @ adjoint.swapaxes(1, 2)) / 2.0
+        unsaid, out = np.zeros((self._dim, self._dim, len(closures))), None
+        if free is not None:
+            out = carried(_Unsaid(measured, frame_a, free))
+            unsaid[: len(out)] = out
+        parts = placed, noise, *owns, unsaid.reshape(self._dim**2, -1)
+        return np.concatenate(parts), out is not None
+
+    def _bounds(self, old: Float[np.ndarray, "s n"], new: _One) -> list[np.ndarray]:
+        """More than Ga_ij and Gb_ij, packed: 2 (C_ii + C_jj)."""
+        return [2.0 * (old[part] + new.numbers[part]) for part in self._parts[2:4]]
+
+    def _sides(
+        self, old: Float[np.ndarray, "s n"], new: _One, poses: Int[np.ndarray, "2 n"]
+    ) -> list[np.ndarray]:
+        """Ga_ij and Gb_ij, packed, of the new closure's poses i and some others."""
+        return [
+            old[part] + new.numbers[part] - _twice(covariance.column(pose, others))
+            for part, covariance, pose, others in zip(
+                self._parts[2:4], self.covariances, new.poses, poses, strict=True
+            )
+        ]
+
+    def _row(
+        self, old: Float[np.ndarray, "s n"], new: _One, sides: list[np.ndarray]
+    ) -> Float[np.ndarray, "2 n"]:
+        """q² of some closures with a new one, in both directions."""
+        of_old, of_new = ([table[part] for part in self._parts] for table in (old, new.numbers))
+        fixed, side_b = sides[0] + of_old[1] + of_new[1], sides[1]
+        if of_old[4].any() or of_new[4].any():
+            return self._limits(of_old[0], of_new[0], fixed, side_b, of_old[4], of_new[4])
+        count = old.shape[1]
+        work = 2 * max(count, WORTH) * SECONDS_A_PAIR[self._dim]
+        if not _thrift.compiles(self._dim, work):
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+                return np.stack(_both_ways(self._module, of_old[0], of_new[0], fixed, side_b))
+        compiled = _compiled(self._module)
+        found = np.empty((2, count))
+        for start in range(0, count, AT_ONCE):
+            part = slice(start, min(start + AT_ONCE, count))
+            given = (_padded(table[:, part]) for table in (of_old[0], fixed, side_b))
+            both = compiled(of_new[0], *given)
+            found[:, part] = np.asarray(both)[:, : part.stop - start]
+        return found
+
+    def _limits(
+        self, t_u: Any, t_v: Any, fixed: Any, side_b: Any, free_u: Any, free_v: Any
+    ) -> Float[np.ndarray, "2 m"]:
+        """The same where closures leave directions unsaid, as for one gate (`comparable`)."""
+        shape = self._dim, self._dim, -1
+        columns = [tuple(one) for side in (free_u, free_v) for one in side.reshape(shape)]
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            found = _both_ways(self._module, t_u, t_v, fixed, side_b, columns)
+        return np.stack([comparable(one.squared, one.freedom, self._dim) for one in found])
+
+
+class _Unsaid(NamedTuple):
+    """Closures as `carried` takes them."""
+
+    measurement: Any
+    pose_a: Any
+    free: Float[np.ndarray, "c d f"]
+
+
+class _One(NamedTuple):
+    """A closure to be taken in.
+
+    Attributes:
+        numbers: what is kept of it: T, Z, C_ii of both maps, unsaid directions; all packed.
+        poses: in map a and map b.
+        unsaid: whether it leaves directions unsaid.
+    """
+
+    numbers: Float[np.ndarray, "s 1"]
+    poses: tuple[int, int]
+    unsaid: bool
+
+
+def _twice(blocks: Float[np.ndarray, "m d d"]) -> Float[np.ndarray, "q m"]:
+    """C + Cᵀ, packed."""
+    row, column = np.transpose(unrolled.packed_indices(blocks.shape[-1]))
+    return (blocks[:, row, column] + blocks[:, column, row]).T
+
+
+def _both_ways(
+    module: Any, t_u: Any, t_v: Any, fixed: Any, side_b: Any, free: Any = None
+) -> tuple[Any, Any]:
+    """q²_uv and q²_vu of closures u and one v."""
+    t_u, t_v, fixed = tuple(t_u), tuple(t_v), tuple(fixed)
+    ways = (t_v, t_u)
+    return tuple(squared_one_way(module, t_u, t_v, at, fixed, side_b, free) for at in ways)  # type: ignore[return-value]
+
+
+@functools.cache
+def _compiled(module: Any) -> Any:
+    def both(t_v: Any, t_u: Any, fixed: Any, side_b: Any) -> Any:
+        return jnp.stack(_both_ways(module, t_u, t_v, fixed, side_b))
+
+    return jax.jit(both)
+
+
+def _padded(table: Float[np.ndarray, "s m"]) -> Float[np.ndarray, "s AT_ONCE"]:
+    """Filled up with zeros, of which NaN comes and is cut off."""
+    padded = np.zeros((len(table), AT_ONCE))
+    padded[:, : table.shape[1]] = table
+    return padded

@@ -1,0 +1,14 @@
+"""The same four steps, one closure or one pose at a time: the answer of the batch at every step.
+
+_maps          maps that grow: new poses and edges, checked and joined to those before
+_arrivals      closures that come: which state an earlier one again, which wait for their poses
+_pair          what is held of one pair of robots: its graph, and the largest clique of that
+_state         all of it together, changed as a whole or not at all
+_answer        the last step of `select`, with what is known from before
+_saved         the whole state in one file, and back
+incremental    `IncrementalPcm`, which walks through them
+"""
+
+from pcm_jax.online.incremental import IncrementalPcm
+
+__all__ = ["IncrementalPcm"]

@@ -1,0 +1,209 @@
+"""Maps that grow: new poses and edges, checked, and joined to those that are there."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pcm_jax import lie
+from pcm_jax.arrays import as_real
+from pcm_jax.errors import InputError
+from pcm_jax.graph import PoseGraph, checked
+from pcm_jax.graph.spanning_tree import check_connected
+from pcm_jax.graph.validation import argument_fault, as_indices, check_self_loops, raise_first
+
+
+@dataclasses.dataclass(frozen=True)
+class NewPart:
+    """Poses and edges to be joined to a map of n poses.
+
+    Attributes:
+        count: new poses, n … n + count − 1.
+        poses: Lie `[count]` as given, or None: where the edges put them.
+        tail: int32 `[e]`.
+        head: int32 `[e]`.
+        measurement: NumPy-backed Lie `[e]`.
+        information: `[e, d, d]`.
+        ids: int64 `[count]`.
+        stamps: float64 `[count]`, NaN without times.
+    """
+
+    count: int
+    poses: Any
+    tail: Int[np.ndarray, " e"]
+    head: Int[np.ndarray, " e"]
+    measurement: Any
+    information: Float[np.ndarray, "e d d"]
+    ids: Int[np.ndarray, " count"]
+    stamps: Float[np.ndarray, " count"]
+
+    def is_odometry(self, size: int) -> bool:
+        """True for one edge from each pose of a map of that size to the next new one."""
+        low, high = np.minimum(self.tail, self.head), np.maximum(self.tail, self.head)
+        steps = size + np.arange(self.count)
+        return np.array_equal(high, steps) and np.array_equal(low, steps - 1)
+
+
+def robot_index(robot: Any, names: Sequence[str]) -> int:
+    """The index of a robot by index or name; `InputError` for one that does not exist."""
+    if isinstance(robot, str) and robot in names:
+        return names.index(robot)
+    whole: Any = isinstance(robot, int | np.integer) and not isinstance(robot, bool)
+    index = int(robot) if whole else -1
+    if not 0 <= index < len(names):
+        raise InputError(
+            f"robot: {robot!r} given, expected 0 … {len(names) - 1} or one of {', '.join(names)}"
+        )
+    return index
+
+
+def checked_part(
+    pose_graph: PoseGraph,
+    poses: Any,
+    *,
+    measurement: Any,
+    information: Any = None,
+    covariance: Any = None,
+    tail: Any = None,
+    head: Any = None,
+    ids: Any = None,
+    stamps: Any = None,
+    tangent_order: str = "translation-rotation",
+) -> NewPart:
+    """Checks poses and edges that are to be joined to a map; see `IncrementalPcm.extend`.
+
+    Raises:
+        InputError: as `PoseGraph.from_arrays`; for a pose that no edge joins to the map, an id that
+            is taken, a stamp before the one before it.
+    """
+    size = pose_graph.num_poses
+    edges: Any = checked.as_transforms(measurement, "measurement")
+    _check_group(pose_graph, edges, "measurement")
+    rows = len(lie.parameters(edges))
+    given = None if poses is None else checked.as_transforms(poses, "poses")
+    if given is not None:
+        _check_group(pose_graph, given, "poses")
+    if (tail is None) != (head is None):
+        raise InputError("tail, head: give both, or neither for odometry from the last pose on")
+    if tail is None:
+        tail, head = size - 1 + np.arange(rows), size + np.arange(rows)
+    known = None if given is None else size + len(lie.parameters(given))
+    tail, head = (
+        as_indices(ends, known, name, "poses") for name, ends in (("tail", tail), ("head", head))
+    )
+    for name, ends in (("tail", tail), ("head", head)):
+        if len(ends) != rows:
+            raise InputError(
+                f"{name}: {len(ends)} entries given, expected {rows}, one per measurement"
+            )
+    check_self_loops(tail, head, argument_fault("head"))
+    count = max(0, int(max(tail.max(initial=0), head.max(initial=0))) + 1 - size)
+    count = count if known is None else known - size
+    part = NewPart(
+        count=count,
+        poses=given,
+        tail=tail,
+        head=head,
+        measurement=edges,
+        information=checked.as_information(information, covariance, edges, tangent_order),
+        ids=_ids(pose_graph, ids, count),
+        stamps=_stamps(pose_graph, stamps, count),
+    )
+    if not part.is_odometry(size):
+        tails, heads = (np.concatenate(ends) for ends in _ends(pose_graph, part))
+        check_connected(tails, heads, size + count, ids=np.concatenate([pose_graph.ids, part.ids]))
+    return part
+
+
+def joined(pose_graph: PoseGraph, part: NewPart, poses: Any) -> PoseGraph:
+    """The map with a new part, whose poses are put there, or None: where its edges put them."""
+    old = lie.as_numpy(pose_graph.poses)
+    tail, head = (np.concatenate(ends) for ends in _ends(pose_graph, part))
+    stamps = pose_graph.stamps
+    if stamps is not None or np.isfinite(part.stamps).any():
+        before = np.full(pose_graph.num_poses, np.nan) if stamps is None else stamps
+        stamps = np.concatenate([before, part.stamps])
+    return dataclasses.replace(
+        pose_graph,
+        poses=lie.concatenate([old, _placed(old, part) if poses is None else poses]),
+        tail=tail,
+        head=head,
+        measurement=lie.concatenate([lie.as_numpy(pose_graph.measurement), part.measurement]),
+        information=np.concatenate([np.asarray(pose_graph.information), part.information]),
+        ids=np.concatenate([pose_graph.ids, part.ids]),
+        source=np.concatenate([pose_graph.source, np.full(len(part.tail), "", object)]),
+        stamps=stamps,
+    )
+
+
+def _placed(old: Any, part: NewPart) -> Any:
+    """The new poses where edges put them, each by the first edge that reaches it."""
+    size = len(lie.parameters(old))
+    at: dict[int, Any] = {}
+
+    def pose(index: int) -> Any:
+        return lie.take(old, np.array([index])) if index < size else at.get(index)
+
+    left = list(range(len(part.tail)))
+    while len(at) < part.count:
+        waiting = []
+        for row in left:
+            tail, head = int(part.tail[row]), int(part.head[row])
+            start, end = pose(tail), pose(head)
+            step = lie.take(part.measurement, np.array([row]))
+            if start is not None and end is None:
+                at[head] = lie.compose(start, step)
+            elif start is None and end is not None:
+                at[tail] = lie.compose(end, lie.inverse(step))
+            elif start is None:
+                waiting.append(row)
+        left = waiting
+    if not at:
+        return lie.take(old, np.zeros(0, np.int64))
+    return lie.normalize(lie.concatenate([at[size + k] for k in range(part.count)]))
+
+
+def _ends(pose_graph: PoseGraph, part: NewPart) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [
+        (np.asarray(pose_graph.tail), part.tail),
+        (np.asarray(pose_graph.head), part.head),
+    ]
+
+
+def _check_group(pose_graph: PoseGraph, given: Any, argument: str) -> None:
+    if lie.group_of(given) is not pose_graph.group:
+        raise InputError(
+            f"{argument}: {lie.group_of(given).__name__} given,"
+            f" expected {pose_graph.group.__name__} like the map"
+        )
+
+
+def _ids(pose_graph: PoseGraph, ids: Any, count: int) -> Int[np.ndarray, " count"]:
+    if ids is None:
+        return int(pose_graph.ids.max()) + 1 + np.arange(count, dtype=np.int64)
+    found = checked.as_ids(ids, count)
+    taken = np.flatnonzero(np.isin(found, pose_graph.ids))
+    if len(taken):
+        raise InputError(f"ids[{taken[0]}]: {found[taken[0]]} is taken, expected a new id")
+    return found
+
+
+def _stamps(pose_graph: PoseGraph, stamps: Any, count: int) -> Float[np.ndarray, " count"]:
+    if stamps is None:
+        return np.full(count, np.nan)
+    found = as_real(stamps, "stamps")
+    if found.shape != (count,):
+        raise InputError(f"stamps: shape {found.shape} given, expected ({count},), one per pose")
+    known = pose_graph.stamps
+    before = np.nan if known is None or not np.isfinite(known).any() else np.nanmax(known)
+    earlier = np.fmax.accumulate(np.concatenate([[before], found]))[:-1]
+    raise_first(
+        found < earlier,
+        argument_fault("stamps"),
+        lambda row: f"{found[row]:.9g} s after {earlier[row]:.9g} s, expected them in order",
+    )
+    return found

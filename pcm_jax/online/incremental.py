@@ -1,0 +1,379 @@
+"""`IncrementalPcm`: closures that keep coming, maps that keep growing.
+
+At every step the answer is that of `select` on the same maps and closures: the same set under the
+same rule, with the same certificate. What a step costs is what it changes:
+
+    a closure comes     one row of Q; a search for a larger set that must hold it
+    a closure goes      a search for a set as large, if it was in the largest
+    odometry comes      nothing: distances between closures stay what they were
+    a loop in a map     that map's optimum, and the graphs of its pairs of robots, when next asked
+    the answer          chance, places and rivals of the pairs of robots that changed since
+
+Whatever is refused leaves everything as it was: a step is worked out first, and then taken.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int
+
+from pcm_jax.arrays import on_host
+from pcm_jax.errors import InputError, check_class, check_number
+from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
+from pcm_jax.graph.checked import as_weights
+from pcm_jax.mapping import MapCovariance
+from pcm_jax.merging import MergeResult
+from pcm_jax.online._answer import EXACT, answer
+from pcm_jax.online._arrivals import (
+    NEW,
+    WAITS,
+    Identities,
+    as_rows,
+    check_arrivals,
+    check_queue,
+)
+from pcm_jax.online._maps import checked_part, joined, robot_index
+from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
+from pcm_jax.online._state import State
+from pcm_jax.pipeline.select import select
+from pcm_jax.pipeline.weigh import MEMORY_LIMIT, optimized_maps
+from pcm_jax.selection import Selection
+from pcm_jax.selection.choose import needs_distances
+
+MOST_WAITING = 10_000
+"""Closures that may wait for poses."""
+OF_MERGING = ("solver", "engine", "refine", "progress")
+
+
+class IncrementalPcm:
+    """Selects the closures to believe while closures come and go and maps grow.
+
+        online = pcm_jax.IncrementalPcm(graph, confidence=0.99)
+        online.add(closures)                            # as they are found
+        online.extend(0, measurement=step, covariance=noise)    # as robot 0 drives
+        online.result().accepted                        # as select(online.graph).accepted
+
+    Closures are counted from 0 in the order in which they came, as in `graph`; where some are
+    removed, those behind them move up, as in an array. One that states an earlier one again counts
+    once (`repeated`); one that touches a pose that has not come yet waits for it (`waiting`).
+
+    A closure costs one row of Q and a search among those that agree with it. That is so for
+    Mahalanobis distances, and the search for `"pcm-exact"` where weights, ties by distance and
+    time limits do not decide: other methods and metrics of one's own are asked anew, with what
+    changed.
+
+    Args:
+        graph: the robots' maps, and the closures that are known already.
+        most_waiting: closures that may wait for poses.
+        **options: as for `select`.
+
+    Raises:
+        InputError: as `select`.
+    """
+
+    @on_host
+    def __init__(
+        self, graph: MultiRobotGraph, *, most_waiting: int = MOST_WAITING, **options: Any
+    ) -> None:
+        check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
+        check_number("most_waiting", most_waiting, least=0, integer=True)
+        self._options, self._most_waiting = options, most_waiting
+        maps = dataclasses.replace(graph, closures=LoopClosures.empty(graph.group))
+        started = select(maps, **options)
+        self._names = started.method, started.confidence, started.gate
+        self._metric, self._seconds = started.evidence.metric, dict(started.evidence.seconds)
+        weighing = started.gate, self._memory_limit(), options.get("metric")
+        self._state = State.of_maps(maps, started.evidence.covariances, weighing)
+        self._identities: Identities | None = None
+        self._graph: MultiRobotGraph | None = None
+        self._selection: Selection | None = None
+        self.add(graph.closures)
+
+    def __len__(self) -> int:
+        return len(self._state.arrived)
+
+    def __repr__(self) -> str:
+        names, pairs = self._state.maps.names, sorted(self._state.pairs.items())
+        held = [f"{names[a]}-{names[b]} {len(pair)}" for (a, b), pair in pairs]
+        return (
+            f"IncrementalPcm({len(names)} maps, {len(self)} closures)\n"
+            f"  pairs   {', '.join(held) or 'none'}\n"
+            f"  beside  {len(self.waiting)} that wait for poses, {self.repeated} repeated"
+        )
+
+    @property
+    def graph(self) -> MultiRobotGraph:
+        """The maps as given and the closures held: what `select` would be asked."""
+        if self._graph is None:
+            closures = self._state.arrived.closures
+            self._graph = dataclasses.replace(self._state.maps, closures=closures)
+        return self._graph
+
+    @property
+    def waiting(self) -> LoopClosures:
+        """The closures that wait for poses, in the order in which they came."""
+        return self._state.waiting
+
+    @property
+    def repeated(self) -> int:
+        """The number of closures that came and stated an earlier one again."""
+        return self._state.repeated
+
+    @on_host
+    def add(self, closures: LoopClosures) -> Int[np.ndarray, " n"]:
+        """Takes closures in.
+
+        Args:
+            closures: any number, between any robots.
+
+        Returns:
+            int64 `[n]`, the index of each in `graph`; of one that was there already the index that
+            it has; −1 for one that waits for a pose.
+
+        Raises:
+            InputError: for closures of another group, a robot that does not exist, a negative pose,
+                a weight that is no finite number of at least 0, a queue that is full, a map whose
+                information is singular. Nothing is taken in then.
+        """
+        check_class("closures", closures, "LoopClosures", LoopClosures)
+        state = self._state
+        there = check_arrivals(state.maps.maps, closures)
+        as_weights(closures.weight, len(closures))
+        known, self._identities = self._identities or self._met(), None
+        future = np.where(there, len(self) + np.cumsum(there) - 1, WAITS)
+        again = known.meet(closures, lambda row: int(future[row]))
+        new = again == NEW
+        if not new.all():  # those behind a repeated one get other names
+            known = self._met()
+            future[new & there] = len(self) + np.arange(int((new & there).sum()))
+            again = known.meet(closures, lambda row: int(future[row]))
+        waits = closures[new & ~there]
+        check_queue(len(state.waiting) + len(waits), self._most_waiting)
+        state = state.with_closures(closures[new & there], waits, int((~new).sum()))
+        self._take(state)
+        self._identities = known
+        return np.where(new, future, again)
+
+    @on_host
+    def remove(self, indices: Any) -> None:
+        """Takes closures out; those behind them move up.
+
+        Args:
+            indices: `[r]` of closures in `graph`, each once; or a mask.
+
+        Raises:
+            InputError: for an index that is not there or is given twice, a mask of another length.
+        """
+        gone = as_rows(indices, len(self))
+        if not gone.any():
+            return
+        self._take(self._state.without(gone))
+
+    @on_host
+    def extend(self, robot: int | str, poses: Any = None, **part: Any) -> Int[np.ndarray, " n"]:
+        """Appends poses and edges to a robot's map.
+
+            online.extend(0, measurement=steps, covariance=noise)       # odometry
+            online.extend(0, tail=[900], head=[12], measurement=loop, covariance=noise)
+
+        Odometry, one edge from the last pose to the first new one and so on, changes no distance
+        between closures. Anything else, a loop above all, moves the whole map: it is optimised
+        anew from where it is, and its pairs of robots are weighed again when next asked.
+
+        Args:
+            robot: index or name.
+            poses: `jaxlie.SE2` or `jaxlie.SE3` `[p]` or homogeneous matrices: where the new poses
+                are, in the map's frame; None: where the edges put them.
+            **part: of the edges `measurement`, `information` or `covariance` (and `tangent_order`),
+                as for `PoseGraph.from_arrays`; `tail` and `head`, indices in the map as it will
+                be; without both odometry from the last pose on. Of the poses `ids` `[p]`, new ones,
+                and `stamps` `[p]`, seconds, in order.
+
+        Returns:
+            int64 `[n]`, indices in `graph` of the closures that had waited for these poses.
+
+        Raises:
+            InputError: for a robot that does not exist, what `PoseGraph.from_arrays` refuses, a
+                pose that no edge joins to the map, an id that is taken, stamps out of order.
+
+        Warns:
+            ConvergenceWarning: for a map whose optimisation stopped before it converged.
+        """
+        index = robot_index(robot, self._state.maps.names)
+        given, covariance = self._state.maps.maps[index], self._state.covariances[index]
+        new = checked_part(given, poses, **part)
+        grown, placed = joined(given, new, new.poses), joined(covariance.pose_graph, new, None)
+        settled = self._options.get("optimized", False)
+        odometry = new.is_odometry(given.num_poses) and not (settled and poses is not None)
+        if odometry:
+            covariance = covariance.extend(placed)
+        elif settled:
+            covariance = MapCovariance(grown)
+        else:
+            covariance = MapCovariance(optimized_maps((placed,), False, initial="given")[0])
+        maps, covariances = list(self._state.maps.maps), list(self._state.covariances)
+        maps[index], covariances[index] = grown, covariance
+        return self._move(tuple(maps), tuple(covariances), index if odometry else None)
+
+    @on_host
+    def replace_maps(self, maps: Sequence[PoseGraph]) -> Int[np.ndarray, " n"]:
+        """Puts other maps in the place of those held, as after an optimisation elsewhere.
+
+        Pairs of robots whose maps changed are weighed again when next asked; a map that is the same
+        object costs nothing.
+
+        Args:
+            maps: one for each robot, in their order, with all poses that closures touch; any
+                further ones are robots that come.
+
+        Returns:
+            int64 `[n]`, indices in `graph` of the closures that had waited for poses.
+
+        Raises:
+            InputError: for fewer maps, another group, a pose that a closure needs and is not there.
+
+        Warns:
+            ConvergenceWarning: as `extend`.
+        """
+        check_class("maps", maps, "PoseGraphs", tuple, list)
+        before = self._state.maps.maps
+        if len(maps) < len(before):
+            raise InputError(
+                f"maps: {len(maps)} given, expected at least {len(before)}, one a robot"
+            )
+        given = dataclasses.replace(self.graph, maps=tuple(maps)).maps
+        covariances = list(self._state.covariances)
+        for index, one in enumerate(given):
+            same = index < len(before) and maps[index] is before[index]
+            if not same:
+                settled = self._options.get("optimized", False)
+                covariance = MapCovariance(optimized_maps((one,), settled)[0])
+                covariances[index : index + 1] = [covariance]
+        return self._move(given, tuple(covariances), None)
+
+    @on_host
+    def result(self) -> Selection:
+        """The closures to believe: what `select` answers for `graph`.
+
+        Kept until something changes; of the pairs of robots only those that changed are judged
+        anew.
+
+        Warns:
+            InputWarning: as `select`.
+        """
+        if self._selection is None:
+            self._state = self._state.current()
+            told = self._metric, self._seconds
+            self._selection = answer(self._state, self.graph, self._options, self._names, *told)
+        return self._selection
+
+    def merge(self, **options: Any) -> MergeResult:
+        """Merges the maps by the closures that are believed now, as `merge` of `graph` does.
+
+        Args:
+            **options: `solver`, `engine`, `refine` and `progress` of `merge`.
+
+        Raises:
+            InputError: as `merge`.
+        """
+        from pcm_jax.pipeline import merge
+
+        selection = self.result()
+        for name in options:
+            if name not in OF_MERGING:
+                expected = ", ".join(OF_MERGING)
+                raise InputError(f"{name}: not an option of merge here, expected one of {expected}")
+        if options.get("refine") is not None:
+            options["confidence"] = selection.confidence
+        merged = merge(selection.evidence, accepted=selection.accepted, **options)
+        return dataclasses.replace(
+            merged,
+            selection=selection,
+            method=selection.method,
+            confidence=selection.confidence,
+            gate=selection.gate,
+            seconds=merged.seconds | selection.seconds,
+        )
+
+    @on_host
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes the whole state to one file, whole or not at all.
+
+            online.save("state.npz")
+            online = pcm_jax.IncrementalPcm.load("state.npz")
+
+        Args:
+            path: of an `.npz` file, which is replaced if it is there.
+
+        Raises:
+            InputError: where the metric or the method is a function.
+            OSError: where the file cannot be written.
+        """
+        options = options_to_save(self._options)
+        self._state = self._state.current()
+        meta = {
+            "options": options,
+            "most_waiting": self._most_waiting,
+            "names": self._names,
+            "metric": self._metric,
+            "seconds": self._seconds,
+            "robots": self._state.maps.names,
+            "repeated": self.repeated,
+        }
+        write(Path(path), json.loads(json.dumps(meta)), arrays_of(self._state))
+
+    @classmethod
+    @on_host
+    def load(cls, path: str | PathLike[str]) -> IncrementalPcm:
+        """Goes on from a saved state: to the same answers as without a break.
+
+        Args:
+            path: of what `save` wrote.
+
+        Raises:
+            FileFormatError: for a file of another kind or version, one cut short or changed.
+            OSError: where it cannot be opened.
+        """
+        meta, arrays = read(Path(path))
+        online = object.__new__(cls)
+        online._options, online._most_waiting = meta["options"], meta["most_waiting"]
+        method, confidence, gate = meta["names"]
+        online._names, online._metric = (method, confidence, gate), meta["metric"]
+        online._seconds = meta["seconds"]
+        online._identities = online._graph = online._selection = None
+        online._state = state_of(arrays, meta, (gate, online._memory_limit(), None))
+        return online
+
+    def _memory_limit(self) -> float:
+        """Bytes for distances: any number of them where the method needs them, as for `select`."""
+        method = self._options.get("method", EXACT)
+        by = {name: self._options[name] for name in ("tie_break",) if name in self._options}
+        limit = self._options.get("memory_limit", MEMORY_LIMIT)
+        return np.inf if needs_distances(method, by) else limit
+
+    def _met(self) -> Identities:
+        """All closures held and waiting, by their names."""
+        met = Identities()
+        met.meet(self._state.arrived.closures, int)
+        met.meet(self._state.waiting, lambda _: WAITS)
+        return met
+
+    def _move(
+        self, maps: tuple[PoseGraph, ...], covariances: tuple[MapCovariance, ...], grown: int | None
+    ) -> Int[np.ndarray, " n"]:
+        """Goes on with other maps; `grown` is a robot whose map has but odometry more."""
+        before = len(self)
+        self._take(self._state.in_maps(maps, covariances, grown))
+        return np.arange(before, len(self))
+
+    def _take(self, state: State) -> None:
+        if len(state.arrived) != len(self) or len(state.waiting) != len(self.waiting):
+            self._identities = None
+        self._state, self._graph, self._selection = state, None, None
