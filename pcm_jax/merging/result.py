@@ -305,19 +305,20 @@ class MergeResult:
             "seconds": dict(self.seconds),
         }
 
-    def plot(self, ax: Any = None, *, is_true: Any = None) -> Any:
+    def plot(self, ax: Any = None, *, is_true: Any = None, projection: str | None = None) -> Any:
         """Draws the merged maps with accepted and rejected closures; needs the `plot` extra.
 
         Args:
             ax: matplotlib axes; new ones by default.
             is_true: bool `[m]`, the closures that are right, if known.
+            projection: the two axes drawn, such as "xz"; None: those of the greatest extent.
 
         Returns:
             The axes.
         """
         from pcm_jax.plots import plot_merge
 
-        return plot_merge(self, ax, is_true=is_true)
+        return plot_merge(self, ax, is_true=is_true, projection=projection)
 
     def to_html(self, path: str | PathLike[str]) -> None:
         """Writes the report as one HTML page that needs no network: maps, closures and why.
