@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import warnings
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from typing import Any
 
@@ -27,6 +28,7 @@ from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.refinement import Refinement
 from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.selection import Selection
+from pcm_jax.tables import ShownAsTable
 
 LINEAR_TO = np.radians(40.0)
 """Standard deviation of a heading up to which covariances to first order hold."""
@@ -56,7 +58,7 @@ class MergeSolution:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class MergeResult:
+class MergeResult(ShownAsTable):
     """Several maps merged by the closures that were accepted.
 
     Attributes:
@@ -110,6 +112,13 @@ class MergeResult:
             f"  groups  {groups}\n"
             f"  fit     cost {fit.cost:.6g}, normalised χ² {chi2}, {end}, by {self.method}"
         )
+
+    def _table(self) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+        if self.selection is not None:
+            return self.selection._table()
+        rows = pair_rows(self)
+        counts = ((f"{row['a']} – {row['b']}", row["measured"], row["accepted"]) for row in rows)
+        return ("robots", "measured", "accepted"), counts
 
     @property
     def recalled(self) -> Bool[np.ndarray, " m"]:
