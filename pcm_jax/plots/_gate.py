@@ -8,8 +8,9 @@ misses fill a volume evenly. In fine bins of log q² the mixture
     share · P(s χ²_d in the bin) + (1 − share) · (upper^α − lower^α) / w^α
 
 is fitted by maximum likelihood, s and α on grids, the share by expectation and maximisation; for
-growing limits w, until right pairs explain the distances far better than none, and all that s χ²_d
-has lies below w. So the bulk of other pairs is never taken for right ones with large errors.
+growing limits w, from the first at which right pairs explain the distances far better than none
+and all that s χ²_d has lies below w, on to the first at which they gain most by it. So the bulk of
+other pairs is never taken for right ones with large errors.
 """
 
 from __future__ import annotations
@@ -96,18 +97,26 @@ def right_pairs(pairs: Float[np.ndarray, " p"], gate: float, dof: int) -> RightP
         gate: γ².
         dof: degrees of freedom, d.
     """
+    best = (0.0, 1.0, 0.0)
     for limit in _LIMITS * gate:
         count, spread, gain = _fitted(pairs, limit, dof)
+        if best[0] and gain < best[2]:
+            break
         if count >= FEWEST and gain >= SURE and _TAIL * dof * spread <= limit:
-            closures = 0.5 + np.sqrt(0.25 + 2.0 * count)
-            inside, expected = (float(gammainc(0.5 * dof, 0.5 * gate / s)) for s in (spread, 1.0))
-            doubt = 1.0 / float(np.sqrt(2.0 * dof * closures))
-            return RightPairs(count, spread, inside, expected, doubt)
-    return None
+            best = count, spread, gain
+    count, spread, _ = best
+    if not count:
+        return None
+    closures = 0.5 + np.sqrt(0.25 + 2.0 * count)
+    inside, expected = (float(gammainc(0.5 * dof, 0.5 * gate / s)) for s in (spread, 1.0))
+    return RightPairs(count, spread, inside, expected, 1.0 / float(np.sqrt(2.0 * dof * closures)))
 
 
 def _fitted(pairs: Float[np.ndarray, " p"], limit: float, dof: int) -> tuple[float, float, float]:
-    """The number of right pairs below a limit, their s, and the log-likelihood that they gain."""
+    """The number of right pairs below a limit, their s, and the log-likelihood that they gain.
+
+    None of the latter where s is the least of the grid: it belongs to a lower limit then.
+    """
     top = np.log10(limit)
     edges = np.arange(top - _DEPTH, top + 0.5 * _FINE, _FINE)
     spreads = 10.0 ** (_STEP * (np.floor(np.log10(limit / (_TAIL * dof)) / _STEP) + _STEPS))
@@ -125,8 +134,8 @@ def _fitted(pairs: Float[np.ndarray, " p"], limit: float, dof: int) -> tuple[flo
     likely = xlogy(counts, mixed).sum(axis=-1)
     alone = xlogy(counts, np.maximum(others, _TINY)).sum(axis=-1).max()
     best = np.unravel_index(int(likely.argmax()), likely.shape)
-    count = float(share[best][0] * counts.sum())
-    return count, float(spreads[best[0]]), float(likely[best] - alone)
+    count, gain = float(share[best][0] * counts.sum()), float(likely[best] - alone)
+    return count, float(spreads[best[0]]), gain if best[0] else 0.0
 
 
 def plot_gate(

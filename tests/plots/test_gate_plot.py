@@ -88,6 +88,16 @@ def test_right_pairs_are_found_by_their_law_among_clutter(times, dof):
     assert found.expected == pytest.approx(0.99)
 
 
+def test_a_mode_is_not_cut_where_other_pairs_begin_beside_it():
+    """Right pairs, some of which are better than they should be, and others from ten gates on."""
+    generator = np.random.default_rng(4)
+    right = np.concatenate([generator.chisquare(3, 105), 0.3 * generator.chisquare(3, 15)])
+    far = GATE * 10.0 ** generator.normal(2.2, 0.4, 6_000)
+    found = right_pairs(np.concatenate([right, far]), GATE, 3)
+    assert found.count == pytest.approx(120, rel=0.06)
+    assert found.as_stated
+
+
 def test_clutter_alone_is_not_taken_for_right_pairs():
     generator = np.random.default_rng(3)
     for _ in range(20):
