@@ -1,4 +1,4 @@
-"""Explanations: why each closure was accepted or dropped, in numbers and in a sentence.
+"""Explanations: why each closure was accepted or rejected, in numbers and in a sentence.
 
 Nothing is computed for it that a merge does not have, but the loops of the worst conflicts (and the
 distances to the accepted ones where they were streamed), see `_standing`. What a merge does not
