@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax.arrays import as_array
 from pcm_jax.consistency.graph import consistency_graph
-from pcm_jax.consistency.limit import comparable
+from pcm_jax.consistency.limit import Limit, comparable
 from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import ConsistencyProblem, problem_from_covariances
 from pcm_jax.consistency.shuffled import ShuffledByMetric, ShuffledClosures
