@@ -31,15 +31,6 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from benchmarks.experiments.cities import (
-    City,
-    Law,
-    city_of_file,
-    simulated_city,
-    start_errors,
-    version_of,
-    weakened,
-)
 from benchmarks.experiments.city_report import (
     MAPS,
     SWEEP,
@@ -55,6 +46,15 @@ from benchmarks.experiments.command import command_parser, run_tasks, write_run
 from benchmarks.experiments.record import LIBRARY, means_by_method, write_csv
 from benchmarks.suite.harness import DATA
 from pcm_jax.experiments import Compared, Method, compare_methods
+from pcm_jax.experiments.cities import (
+    City,
+    Law,
+    city_of_file,
+    simulated_city,
+    start_errors,
+    version_of,
+    weakened,
+)
 from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER
 from pcm_jax.simulation import SimulatedWorld
 from pcm_jax.store import Store, digest, write_json
@@ -197,7 +197,7 @@ def source_of(parser: argparse.ArgumentParser, options: argparse.Namespace) -> S
 def sources() -> list[Path]:
     """The files that results depend on."""
     experiments = Path(__file__).parent / "experiments"
-    return [*LIBRARY, Path(__file__), experiments / "cities.py", experiments / "city_report.py"]
+    return [*LIBRARY, Path(__file__), experiments / "city_report.py"]
 
 
 def _portion(text: str) -> slice:

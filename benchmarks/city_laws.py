@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import city
-from benchmarks.experiments.cities import Law
 from benchmarks.experiments.city_report import IN_THE_PAPER
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
 from benchmarks.experiments.record import means_by_method
 from pcm_jax.evaluation import comparison_table
 from pcm_jax.experiments import Method
+from pcm_jax.experiments.cities import Law
 from pcm_jax.store import Store, digest, write_json
 
 

@@ -34,6 +34,7 @@ from benchmarks.suite.harness import DATA
 from pcm_jax import InputWarning, select, weigh
 from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import comparison_table
+from pcm_jax.experiments import drives
 from pcm_jax.store import Store, digest, write_json
 
 RULES: dict[str, dict[str, Any]] = {
@@ -64,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     steps = Store(options.out / "steps", digest(options.data.name, files=sources))
     tasks = {
         f"{name}, {maps}, {cut}": partial(judged, options.data, name, maps, cut)
-        for name in options.datasets or real.found(options.data)
+        for name in options.datasets or drives.found(options.data)
         for maps in options.maps
         for cut in range(options.every, load(options.data, name).graph.num_poses, options.every)
     }

@@ -49,24 +49,22 @@ from benchmarks.experiments.real_candidate_report import (
     write_figures,
     write_results,
 )
-from benchmarks.experiments.real_candidates import Candidates, Factors
+from benchmarks.experiments.real_candidates import Factors
 from benchmarks.experiments.record import LIBRARY
 from benchmarks.suite.harness import DATA
 from pcm_jax import (
     InputWarning,
     MultiRobotGraph,
-    PoseGraph,
     lie,
     optimize,
     select,
     select_from,
     select_within,
-    split,
 )
-from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import ate_rmse
-from pcm_jax.experiments import Compared, Method, compare_methods
+from pcm_jax.experiments import Compared, Method, compare_methods, drives
 from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, CALIBRATED, PAPER, REFERENCE
+from pcm_jax.experiments.drives import Candidates, across, sessions, sessions_truth
 from pcm_jax.store import Store, digest
 
 ALL_METHODS = PAPER | CALIBRATED | BEYOND_THE_PAPER
@@ -161,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_one_robot(data: Path, name: str) -> dict[str, Any]:
     """Judges one trajectory with all its candidates: figures by method, and the noise."""
     candidates = load(data, name)
-    graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
+    graph, right, odometry = candidates.graph, candidates.is_true, drives.steps(candidates.graph)
     written = selection_of(data, name)
     alone = odometry.copy()
     alone[written.closures] = written.own_squared <= written.gate
@@ -204,7 +202,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
     The version shown is the one in which the largest false set is largest against the right one.
     """
     candidates = load(data, name)
-    graph, odometry = candidates.graph, real.steps(candidates.graph)
+    graph, odometry = candidates.graph, drives.steps(candidates.graph)
     accepted = select_within(graph).kept
     solved = {
         "candidates all accepted": optimize(graph).graph,
@@ -218,7 +216,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
     rows = {row: ALL_METHODS[row] for row in ("ransac-99", "pcm-exact-99")}
     results = compare_methods(both, right, methods=rows)
     return Picture(
-        {"truth": candidates.truth, "odometry": real.chained(graph)}
+        {"truth": candidates.truth, "odometry": drives.chained(graph)}
         | {title: lie.as_numpy(each.poses) for title, each in solved.items()},
         np.stack([np.asarray(graph.tail), np.asarray(graph.head)])[:, ~odometry],
         accepted[~odometry],
@@ -234,7 +232,7 @@ def picture(data: Path, name: str, versions: Mapping[str, Any]) -> Picture:
 @lru_cache(maxsize=1)
 def load(data: Path, name: str) -> Candidates:
     """The candidates of a file; the last one is kept."""
-    return real.load(data, name)
+    return drives.load(data, name)
 
 
 @lru_cache(maxsize=1)
@@ -255,38 +253,9 @@ def factors_of(data: Path, name: str, kind: str) -> Factors:
     return real.factors_of_truth(selection, candidates)
 
 
-@on_host
-def sessions(graph: PoseGraph, cut: int, maps: str) -> MultiRobotGraph:
-    """Two robots' maps, each in the frame of its first pose, and all candidates across the cut."""
-    both = split(graph, cut)
-    made = []
-    for one in both.maps:
-        first = lie.inverse(lie.take(lie.as_numpy(one.poses), 0))
-        own = one.with_poses(lie.compose(first, lie.as_numpy(one.poses)))
-        if maps == "odometry":
-            own = own.with_edges(real.steps(own))
-        elif maps == "cleaned" and not real.steps(own).all():
-            own = select_within(own).graph
-        made.append(own)
-    return MultiRobotGraph(tuple(made), both.closures)
-
-
-def sessions_truth(candidates: Candidates, cut: int) -> tuple[Any, Any]:
-    """The two robots' true poses, in one frame."""
-    parts = slice(None, cut), slice(cut, None)
-    first, second = (lie.take(candidates.truth, part) for part in parts)
-    return first, second
-
-
-def across(graph: PoseGraph, cut: int) -> np.ndarray:
-    """int64 `[m]`: the edges that `split` makes closures, in its order."""
-    tail, head = np.asarray(graph.tail), np.asarray(graph.head)
-    return np.flatnonzero(((tail < cut) != (head < cut)) & ~real.steps(graph))
-
-
 def _trajectory(candidates: Candidates, kept: np.ndarray, seconds: float) -> dict[str, Any]:
     """Figures of the trajectory with some of its candidates, information as written."""
-    graph, right, odometry = candidates.graph, candidates.is_true, real.steps(candidates.graph)
+    graph, right, odometry = candidates.graph, candidates.is_true, drives.steps(candidates.graph)
     solution = optimize(graph.with_edges(kept))
     accepted = kept & ~odometry
     freedom = graph.tangent_dim * max(1, int(accepted.sum()))
@@ -359,7 +328,7 @@ def _by_tolerance(candidates: Candidates, selection: Any) -> dict[str, dict[str,
     """The accepted set's worth where "right" means within another tolerance."""
     rates = {}
     for metres, degrees in real.TOLERANCES:
-        right = real.within_tolerance(candidates.graph, candidates.truth, (metres, degrees))
+        right = drives.within_tolerance(candidates.graph, candidates.truth, (metres, degrees))
         counts = _counts(selection.accepted, right[selection.closures])
         rate = pooled([counts | dict.fromkeys(("ate_rmse", "chi2", "converged", "seconds"))])
         relabelled = int((right != candidates.is_true).sum())
@@ -369,13 +338,13 @@ def _by_tolerance(candidates: Candidates, selection: Any) -> dict[str, dict[str,
 
 
 def _names(parser: argparse.ArgumentParser, options: argparse.Namespace) -> list[str]:
-    names = real.found(options.data)
+    names = drives.found(options.data)
     if not names:
         parser.error(f"--data: {options.data} has no kitti_robust or rrr, expected one of them")
     unknown = set(options.datasets or ()) - set(names)
     if unknown:
         parser.error(f"--datasets: {min(unknown)!r} given, expected some of {', '.join(names)}")
-    return options.datasets or real.spread(names)
+    return options.datasets or drives.spread(names)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -43,8 +43,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks import place_recognition
-from benchmarks.experiments import real_candidates as real
-from benchmarks.experiments.cities import NOISE, City, Law, city_of_file, version_of
 from benchmarks.experiments.command import command_parser, run_tasks, write_run
 from benchmarks.experiments.record import LIBRARY, write_csv
 from benchmarks.suite.harness import DATA
@@ -63,6 +61,8 @@ from pcm_jax import (
 )
 from pcm_jax.arrays import on_host
 from pcm_jax.evaluation import ate_rmse, comparison_table
+from pcm_jax.experiments import drives
+from pcm_jax.experiments.cities import NOISE, City, Law, city_of_file, version_of
 from pcm_jax.merging import MergeResult
 from pcm_jax.merging.merged import Merged
 from pcm_jax.merging.refine import refine
@@ -210,7 +210,7 @@ def csail_world(data: Path, level: str, stated: bool, seed: tuple[int, int]) -> 
     generator = np.random.default_rng(seed)
     (graph,) = read_graph(data / "classic2d" / "CSAIL.g2o.xz").maps
     best = optimize(graph)
-    truth, steps = lie.as_numpy(best.graph.poses), real.steps(graph)
+    truth, steps = lie.as_numpy(best.graph.poses), drives.steps(graph)
     freedom = 3 * (graph.num_edges - graph.num_poses + 1)
     known = np.linalg.inv(np.asarray(graph.information)) * 2.0 * best.cost / freedom
     metres, radians = LEVELS[level]

@@ -1,4 +1,4 @@
-"""Tables as text: in Markdown, in aligned columns, and of methods against figures of merit.
+"""Tables as text: in Markdown, in columns, in HTML, and of methods against figures of merit.
 
 print(markdown(["robots", "closures"], [["a - b", 115]]))
 print(comparison_table({"pcm": {"tpr": 0.997}, "dcs": {"tpr": 0.0}}, best={"tpr": max}))
@@ -6,6 +6,7 @@ print(comparison_table({"pcm": {"tpr": 0.997}, "dcs": {"tpr": 0.0}}, best={"tpr"
 
 from __future__ import annotations
 
+import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -35,6 +36,39 @@ class Table(NamedTuple):
     cells: list[list[str]]
     bold: list[list[bool]]
     numeric: list[bool]
+
+
+class ShownAsTable:
+    """Shows a result as a table where a page is at hand, as in a notebook.
+
+    What its `repr` says stands above the table, which a class describes by `_table`.
+    """
+
+    def _table(self) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+        """The heads of the columns, and the rows, of which each cell counts by its `str`."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        heads, rows = self._table()
+        return f"<pre>{html.escape(repr(self), quote=False)}</pre>{html_table(heads, rows)}"
+
+
+def html_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Writes a table in HTML, all text in it escaped; numbers stand to the right by themselves.
+
+    Args:
+        head: heading of each column.
+        rows: cells, of which each counts by its `str`.
+    """
+    heads = "".join(f'<th scope="col">{html.escape(str(cell))}</th>' for cell in head)
+    body = "".join(f"<tr>{''.join(map(_html_cell, row))}</tr>" for row in rows)
+    return f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _html_cell(cell: object) -> str:
+    text = str(cell)
+    side = "right" if is_number(text) else "left"
+    return f'<td style="text-align: {side}">{html.escape(text)}</td>'
 
 
 def markdown(

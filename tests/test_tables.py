@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from pcm_jax.errors import InputError
-from pcm_jax.tables import columns_of_text, comparison_table, is_number, markdown
+from pcm_jax.tables import (
+    ShownAsTable,
+    columns_of_text,
+    comparison_table,
+    html_table,
+    is_number,
+    markdown,
+)
 
 ROWS = {
     "no-outliers": {"tpr": 1, "fpr": 0.0, "mse": 0.2756, "solver": "converged"},
@@ -84,3 +91,21 @@ def test_columns_can_be_chosen_and_default_to_all():
 )
 def test_numbers_have_three_digits(value, text):
     assert comparison_table({"method": {"column": value}}).splitlines()[2] == f"| method | {text} |"
+
+
+def test_html_escapes_and_sets_numbers_to_the_right():
+    table = html_table(["robots", "p <"], [["a & <b>", "0.01"]])
+    assert '<th scope="col">p &lt;</th>' in table
+    assert '<td style="text-align: left">a &amp; &lt;b&gt;</td>' in table
+    assert '<td style="text-align: right">0.01</td>' in table
+
+
+def test_a_result_shows_itself_as_its_repr_above_its_table():
+    class Shown(ShownAsTable):
+        def __repr__(self):
+            return "Shown(<1>)"
+
+        def _table(self):
+            return ["n"], [[2]]
+
+    assert Shown()._repr_html_() == f"<pre>Shown(&lt;1&gt;)</pre>{html_table(['n'], [[2]])}"

@@ -203,7 +203,7 @@ def _explain(commands: Any) -> None:
     explain = _command(
         commands,
         "explain",
-        "Say why a closure was accepted or dropped, from the report of a merge.",
+        "Say why a closure was accepted or rejected, from the report of a merge.",
     )
     explain.add_argument(
         "report", type=Path, metavar="REPORT", help="what pcm-jax merge --report wrote"

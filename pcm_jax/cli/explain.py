@@ -1,4 +1,4 @@
-"""`pcm-jax explain`: why a closure was accepted or dropped, from the report alone."""
+"""`pcm-jax explain`: why a closure was accepted or rejected, from the report alone."""
 
 from __future__ import annotations
 

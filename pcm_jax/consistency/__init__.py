@@ -8,7 +8,7 @@ agree, step iii, is the largest clique of the graph of agreeing pairs.
 _relative           G, the covariance of the differences of poses' errors, in one map
 problem             `consistency_problem`: what Q needs of two maps and the closures between them
 within              the same for the closures inside one robot's own map
-_limit              q² of closures that leave directions unsaid
+limit               q² of closures that leave directions unsaid
 definition          the loop error (eq. 4) by automatic differentiation: the specification
 _closed_form        the same number without a Jacobian, for all pairs in one vectorised loop
 mahalanobis         `squared_mahalanobis`: either of the two, compiled

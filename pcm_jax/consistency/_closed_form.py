@@ -43,7 +43,7 @@ from jaxtyping import Array, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import namespace
-from pcm_jax.consistency._limit import Limit, carried, columns_of, limit
+from pcm_jax.consistency.limit import Limit, carried, columns_of, limit
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.lie import unrolled

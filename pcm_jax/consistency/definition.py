@@ -23,7 +23,7 @@ import jaxlie
 from jaxtyping import Array, Float
 
 from pcm_jax import lie
-from pcm_jax.consistency._limit import DIFFERENT, Limit
+from pcm_jax.consistency.limit import DIFFERENT, Limit
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError
@@ -61,7 +61,7 @@ def squared_error(
         free: directions of all arguments' perturbations along which the covariance has no bound.
 
     Returns:
-        The number; with `free` a `Limit`, of which see `consistency._limit`.
+        The number; with `free` a `Limit`, of which see `consistency.limit`.
     """
     sizes = [covariance.shape[-1] for covariance in covariances]
     splits = list(itertools.accumulate(sizes))[:-1]

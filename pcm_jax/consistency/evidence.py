@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,14 +16,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax.arrays import as_array
-from pcm_jax.consistency._limit import Limit, comparable
 from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.limit import Limit, comparable
 from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import ConsistencyProblem, problem_from_covariances
 from pcm_jax.consistency.shuffled import ShuffledByMetric, ShuffledClosures
 from pcm_jax.errors import InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
+from pcm_jax.tables import ShownAsTable
 
 KEPT_GATES = 2
 """Streamed graphs that a pair of robots keeps, of the gates asked for last."""
@@ -222,7 +223,7 @@ class PairEvidence:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Evidence:
+class Evidence(ShownAsTable):
     """The evidence of a graph: what its closures say of each other, for every pair of robots.
 
     Attributes:
@@ -249,6 +250,18 @@ class Evidence:
             f"  pairs   {', '.join(told) or 'none'}\n"
             f"  metric  {self.metric}, {sum(self.seconds.values()):.2g} s"
         )
+
+    def _table(self) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+        names = self.graph.names
+        rows = (
+            (
+                f"{names[pair.robot_a]} – {names[pair.robot_b]}",
+                len(pair),
+                "streamed" if pair.is_streamed else "kept",
+            )
+            for pair in self.pairs
+        )
+        return ("robots", "closures", "distances"), rows
 
     @property
     def optimized(self) -> MultiRobotGraph:

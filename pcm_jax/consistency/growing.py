@@ -32,7 +32,7 @@ from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.compiling import Thrift
 from pcm_jax.consistency._closed_form import squared_one_way
-from pcm_jax.consistency._limit import carried, comparable
+from pcm_jax.consistency.limit import carried, comparable
 from pcm_jax.consistency.mahalanobis import SECONDS_A_PAIR, SECONDS_TO_COMPILE
 from pcm_jax.graph import LoopClosures
 from pcm_jax.graph.unsaid import noise_of

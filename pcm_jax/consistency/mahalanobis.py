@@ -24,8 +24,8 @@ from pcm_jax.consistency._closed_form import (
     limits_in_numpy,
     own_loop_kernel,
 )
-from pcm_jax.consistency._limit import Limit
 from pcm_jax.consistency.definition import jacfwd_kernel
+from pcm_jax.consistency.limit import Limit
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.consistency.within import WithinProblem
 from pcm_jax.errors import InputError, check_class
@@ -257,12 +257,31 @@ def weighed_on_host(problem: ConsistencyProblem) -> Limit:
         NumPy; None for degrees that are all d.
     """
     d, padded = problem.measurement_covariance.shape[-1], problem.valid.shape[0]
-    if _says_all(problem):
-        shapes = problem.relative_covariance_a.shape, problem.relative_covariance_b.shape
-        if not _thrift.compiles((d, padded, shapes), padded**2 * SECONDS_A_PAIR[d]):
-            return _in_numpy(problem)
+    if _says_all(problem) and not _is_worth_compiling(problem, padded**2 * SECONDS_A_PAIR[d]):
+        return _in_numpy(problem)
     squared, freedom = limits_of(problem)
     return Limit(np.asarray(squared), None if freedom is None else np.asarray(freedom))
+
+
+@on_host
+def weighed_if_compiled(problem: ConsistencyProblem, pairs: int) -> Float[np.ndarray, "m m"] | None:
+    """Computes `squared_mahalanobis` where some pairs alone would cost more in NumPy.
+
+    Args:
+        problem: as for `weighed_on_host`, of closures that leave nothing unsaid.
+        pairs: how many ordered ones NumPy would have to weigh instead.
+
+    Returns:
+        NumPy; None where the program is not compiled and as yet not worth it.
+    """
+    seconds = pairs * SECONDS_A_PAIR[problem.measurement_covariance.shape[-1]]
+    return np.asarray(limits_of(problem).squared) if _is_worth_compiling(problem, seconds) else None
+
+
+def _is_worth_compiling(problem: ConsistencyProblem, seconds: float) -> bool:
+    d, padded = problem.measurement_covariance.shape[-1], problem.valid.shape[0]
+    shapes = problem.relative_covariance_a.shape, problem.relative_covariance_b.shape
+    return _thrift.compiles((d, padded, shapes), seconds)
 
 
 def squared_rows(

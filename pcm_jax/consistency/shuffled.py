@@ -4,12 +4,13 @@ What a shuffle leaves as it is, is found once: the maps, and G. Of q²_uv (`_clo
 T = X z Y⁻¹ and Z change. Nearly all pairs of shuffled closures contradict each other by their
 headings alone. Let φ be the rotation's share of the error and M_φφ its covariance, a block of M:
 
-    q²  ≥  φᵀ M_φφ⁻¹ φ  ≥  |φ|² / tr M_φφ,     tr M_φφ = tr Ga_φφ + tr Gb_φφ + tr Σu_φφ + tr Σv_φφ
+    q²  ≥  φᵀ M_φφ⁻¹ φ  ≥  |φ|² / λ,     λ = λ(Ga_φφ) + λ(Gb_φφ) + λ(Σu_φφ) + λ(Σv_φφ)
 
-since Ad(T) only turns the rotation's block. As cos x ≥ 1 − x²/2, a pair within the gate has
+with λ(·) the largest eigenvalue, since Ad(T) only turns the rotation's block. As
+cos x ≥ 1 − x²/2, a pair within the gate has
 
-    cos φ  ≥  1 − γ² tr M_φφ / 2,      cos φ = R_u : R_v in the plane (first columns),
-                                               (R_u : R_v − 1) / 2 in space
+    cos φ  ≥  1 − γ² λ / 2,      cos φ = R_u : R_v in the plane (first columns),
+                                         (R_u : R_v − 1) / 2 in space
 
 which one product of small matrices shows for all pairs; only those that pass are weighed. None is
 where too few do for a clique as large as is asked for: closures of too low a degree leave until
@@ -19,7 +20,7 @@ none does. So the larger the set that shuffles are compared with, the less one c
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -27,10 +28,12 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency._closed_form import squared_one_way
-from pcm_jax.consistency._limit import columns_of, comparable
 from pcm_jax.consistency.graph import consistency_graph
+from pcm_jax.consistency.limit import columns_of, comparable
+from pcm_jax.consistency.mahalanobis import weighed_if_compiled
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.lie import unrolled
+from pcm_jax.sparse import registry
 
 if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures
@@ -39,6 +42,8 @@ PAIRS_AT_ONCE = 1 << 20
 """Pairs of closures that are looked at together, over all shuffles."""
 CHUNK = 4096
 """Pairs that are weighed together: what they take stays in a core's cache."""
+DENSE = 0.2
+"""Share of the pairs that are left to weigh, above which a compiled program weighs all sooner."""
 UNBOUNDED = 1e30
 """A variance of which single precision still knows that it is finite."""
 SLACK = 1e-5
@@ -91,17 +96,18 @@ class ShuffledClosures:
     ) -> None:
         count = int(np.count_nonzero(np.asarray(problem.valid)))
         self.count, self.gate = count, gate
+        self._problem = problem
         self._module = lie.module_of(lie.group_of(problem.measurement))
         self._measured = _entries(problem.measurement, count)
         self._pose_a = _entries(problem.pose_a, count)
         self._from_b = self._module.inverse(_entries(problem.pose_b, count))
         self._covariance = np.asarray(problem.measurement_covariance)[:count]
         self._free = None if problem.free is None else np.asarray(problem.free)[:count]
-        self._turning = _rotation_axes(self._covariance.shape[-1])
-        own: Any = [self._covariance[:, axis, axis] for _, axis in self._turning]
-        self._own_spread = np.sum(own, axis=0)
+        d = self._covariance.shape[-1]
+        self._turning, axes = _rotation_entries(d), slice(2 if d == 3 else 3, d)
+        own = self._covariance[:, axes, axes]
+        self._own_spread = _largest_eigenvalue(unrolled.pack(unrolled.from_array(own)))
         if self._free is not None:  # headings do not tell apart what leaves a rotation unsaid
-            axes = [axis for _, axis in self._turning]
             self._own_spread[self._free[:, axes].any(axis=(1, 2))] = UNBOUNDED
         self._rows = np.asarray(problem.row_a)[:count], np.asarray(problem.row_b)[:count]
         self._relative = (
@@ -116,7 +122,7 @@ class ShuffledClosures:
         return max(1, PAIRS_AT_ONCE // max(1, self.count**2))
 
     def weigh(self, order: Int[np.ndarray, "b k"], *, at_least: int = 0) -> ConsistentPairs:
-        """Weighs shuffles.
+        """Weighs shuffles; where headings tell little apart, by the compiled closed form.
 
         Args:
             order: `[b, k]`: closure u gets the measurement, and its covariance, of `order[·, u]`.
@@ -129,6 +135,10 @@ class ShuffledClosures:
         shuffle, u, v = self._near(order, placed)
         kept = _peeled(shuffle, u, v, self.count, at_least)
         shuffle, u, v = shuffle[kept], u[kept], v[kept]
+        if self._free is None and len(u) > DENSE * len(order) * self.count * (self.count - 1) / 2:
+            found = self._all_pairs(order, len(u))
+            if found is not None:
+                return found
         covariance = unrolled.from_array(self._covariance[order])
         noise = _full(order, unrolled.pack(self._module.adjoint_sandwich(reached, covariance)))
         free = None if self._free is None else self._carried(order, reached)
@@ -138,12 +148,30 @@ class ShuffledClosures:
             larger[part] = self._squared(shuffle[part], u[part], v[part], placed, noise, free)
         return ConsistentPairs(shuffle, u, v, larger).take(larger <= self.gate)
 
+    def _all_pairs(self, order: Int[np.ndarray, "b k"], near: int) -> ConsistentPairs | None:
+        """As `weigh`, of all pairs at once; None where a compiled program is not worth it."""
+        found, of = [], np.arange(len(np.asarray(self._problem.valid)))
+        for shuffle, each in enumerate(order):
+            of[: self.count] = each
+            shuffled = dataclasses.replace(
+                self._problem,
+                measurement=lie.take(lie.as_numpy(self._problem.measurement), of),
+                measurement_covariance=np.asarray(self._problem.measurement_covariance)[of],
+            )
+            squared = weighed_if_compiled(shuffled, 2 * near // len(order))
+            if squared is None:
+                return None
+            larger = np.fmax(squared, squared.T)
+            u, v = np.nonzero((larger <= self.gate) & (self._floor < np.inf))
+            found.append(ConsistentPairs(np.full(len(u), shuffle), u, v, larger[u, v]))
+        parts: Any = (np.concatenate(each) for each in zip(*found, strict=True))
+        return ConsistentPairs(*parts)
+
     def _least_cosines(self, joined: np.ndarray | None) -> Float[np.ndarray, "k k"]:
-        """1 − γ² (tr Ga_φφ + tr Gb_φφ) / 2, float32; infinite where a pair is of no interest."""
+        """1 − γ² (λ(Ga_φφ) + λ(Gb_φφ)) / 2, float32; infinite where a pair is of no interest."""
         spread = np.zeros((self.count, self.count))
         for relative, rows in zip(self._relative, self._rows, strict=True):
-            for entry, _ in self._turning:
-                spread += relative[entry][np.ix_(rows, rows)]
+            spread += _largest_eigenvalue([relative[k] for k in self._turning])[np.ix_(rows, rows)]
         least = 1.0 - SLACK - 0.5 * self.gate * spread
         wanted = np.ones_like(least, bool) if joined is None else joined
         return np.where(np.triu(wanted, 1), least, np.inf).astype(np.float32)
@@ -161,7 +189,8 @@ class ShuffledClosures:
         one = np.ones_like(own)
         left = np.stack([*turned, shift, one], axis=-1).astype(np.float32)
         right = np.stack([*turned, one, shift], axis=-1).astype(np.float32)
-        at = np.flatnonzero(left @ right.swapaxes(1, 2) >= self._floor)
+        with registry.blas.one():  # threads cost a hundred times what such a product takes
+            at = np.flatnonzero(left @ right.swapaxes(1, 2) >= self._floor)
         shuffle, pair = np.divmod(at, self.count**2)
         return shuffle, *np.divmod(pair, self.count)
 
@@ -262,11 +291,25 @@ def _full(order: np.ndarray, entries: Any) -> tuple[np.ndarray, ...]:
     return tuple(np.broadcast_to(entry, order.shape) for entry in entries)
 
 
-def _rotation_axes(d: int) -> list[tuple[int, int]]:
-    """The rotation's variances in a packed covariance: (entry, axis)."""
+def _rotation_entries(d: int) -> list[int]:
+    """The rotation's block in a packed covariance, itself packed."""
     first = 2 if d == 3 else 3
-    packed = unrolled.packed_indices(d)
-    return [(entry, i) for entry, (i, j) in enumerate(packed) if i == j and i >= first]
+    return [k for k, (i, j) in enumerate(unrolled.packed_indices(d)) if min(i, j) >= first]
+
+
+def _largest_eigenvalue(packed: Sequence[np.ndarray]) -> np.ndarray:
+    """λ of symmetric matrices of one row or three: by the cubic's trigonometric solution."""
+    if len(packed) == 1:
+        return np.array(packed[0])
+    entries = dict(zip(unrolled.packed_indices(3), packed, strict=True))
+    mean = (entries[0, 0] + entries[1, 1] + entries[2, 2]) / 3.0
+    x, y, z = (entries[k, k] - mean for k in range(3))
+    a, b, c = entries[1, 0], entries[2, 0], entries[2, 1]
+    spread = np.sqrt((x * x + y * y + z * z + 2.0 * (a * a + b * b + c * c)) / 6.0)
+    determinant = x * (y * z - c * c) - a * (a * z - b * c) + b * (a * c - b * y)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.where(spread > 0.0, determinant / (2.0 * spread**3), 1.0)
+    return mean + 2.0 * spread * np.cos(np.arccos(np.clip(cosine, -1.0, 1.0)) / 3.0)
 
 
 def _peeled(

@@ -24,8 +24,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
-from pcm_jax.consistency._limit import DIFFERENT
 from pcm_jax.consistency.evidence import PairEvidence
+from pcm_jax.consistency.limit import DIFFERENT
 from pcm_jax.errors import InputError
 from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.mapping import MapCovariance
@@ -46,7 +46,7 @@ class StackedClosures:
         of_a: `[k, d, k, d]`, Σa: left perturbations of the pose in map a that each starts at.
         of_b: `[k, d, k, d]`, Σb: of the pose in map b that each ends at, in map b's frame.
         lever: how far from the middle of map b the closures end, metres.
-        free: `[k, d, f]`, the directions that each leaves unsaid (`consistency._limit`), filled up
+        free: `[k, d, f]`, the directions that each leaves unsaid (`consistency.limit`), filled up
             with zeros; None where all is said.
     """
 

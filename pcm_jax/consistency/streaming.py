@@ -33,7 +33,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from pcm_jax import lie
 from pcm_jax.arrays import as_real, device_array, on_host, pad_leading, shareable_zeros
 from pcm_jax.consistency._closed_form import gather, per_closure, weigh
-from pcm_jax.consistency._limit import Limit, carried, gates
+from pcm_jax.consistency.limit import Limit, carried, gates
 from pcm_jax.consistency.packed import PackedGraph
 from pcm_jax.consistency.problem import check_pair, padded
 from pcm_jax.errors import InputError, check_number

@@ -1,5 +1,7 @@
 """Experiments over methods, graphs and simulated worlds, which notebooks and benchmarks share.
 
+    cities         City10000 in two halves, or a simulated one, and versions with false closures
+    drives         drives with a real front end's candidates, or simulated ones; two robots of one
     comparison     every method on the same maps, closures and evidence, beside the truth
     sweep          every method at every gate on thousands of simulated worlds
     _sweep_files   its Parquet files, by which it resumes

@@ -12,6 +12,7 @@ scopes          the rules
 names           what robots are called, and what candidates may call them
 _table          lines of all files, end to end
 robots          from these to maps and closures
+_lettered       candidates that call robots by letters of their own
 _named          candidates whose robots are named
 plausibility    doubts about how information was read
 account         what was read and how, for people

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from jaxtyping import Float
 
 from pcm_jax.errors import FileFormatError
+from pcm_jax.files._lettered import called_by_name, lettered
 from pcm_jax.files.names import Roster
 from pcm_jax.files.pose_file import TRUE, UNKNOWN, PoseFile
 from pcm_jax.files.text import line_fault, sources
+from pcm_jax.graph import symbols
 from pcm_jax.graph.loop_closures import LoopClosures, pose_indices
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.pose_graph import PoseGraph
@@ -73,6 +77,20 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
         kept.label == TRUE if known else None,
     )
     return closures, tuple(notes)
+
+
+def candidates_between(file: PoseFile, graph: MultiRobotGraph) -> tuple[PoseFile, list[str]]:
+    """The candidates of a file with their robots by name, and a note on who letters stand for.
+
+    Raises:
+        FileFormatError: as `named_by_ids`, or for letters that may mean any two of the robots.
+    """
+    if file.named is not None:
+        return file, []
+    known = np.concatenate([one.ids for one in graph.maps])
+    if symbols.are_symbols(file.ids) and not np.isin(file.ids, known).any():
+        return called_by_name(lettered(file), graph.names)
+    return dataclasses.replace(file, named=named_by_ids(file, graph)), []
 
 
 def named_by_ids(file: PoseFile, graph: MultiRobotGraph) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files._components import by_components
+from pcm_jax.files._lettered import called_by_name, lettered_candidates
 from pcm_jax.files._named import named_closures
 from pcm_jax.files.account import Account, Copy, account_of
 from pcm_jax.files.plausibility import doubts
@@ -41,6 +42,7 @@ def graph_of(
     Raises:
         FileFormatError: as `read_graph`.
     """
+    files = lettered_candidates(files) if reading.ids == "auto" else files
     own = [file for file in files if not (file.candidates and file.named is not None)]
     if not own or all(file.candidates for file in own):
         raise FileFormatError(files[0].path, None, "candidates only, expected a map as well")
@@ -53,9 +55,10 @@ def graph_of(
     parts, notes = [made.closures], [*notes, *made.notes]
     for file in files:
         if file.candidates and file.named is not None:
-            more, left_out = _tolerant(file, graph, skip_bad)
+            meant, told_names = called_by_name(file, graph.names) if file.lettered else (file, [])
+            more, left_out = _tolerant(meant, graph, skip_bad)
             parts.append(more)
-            notes += left_out
+            notes += [*told_names, *left_out]
     between, copies = _once(LoopClosures.concatenate(parts))
     graph = MultiRobotGraph(made.maps, between, made.truth)
     accounts = {

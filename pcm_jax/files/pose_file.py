@@ -143,6 +143,7 @@ class PoseFile:
         how: in words, how the information was read.
         candidates: whether its edges are candidates and it defines no map.
         bare: whether its edges came without information, and have none yet.
+        lettered: whether its candidates call robots by letters of the file's own (`_lettered`).
     """
 
     path: str
@@ -162,6 +163,7 @@ class PoseFile:
     how: str = ""
     candidates: bool = False
     bare: bool = False
+    lettered: bool = False
 
     @property
     def ids(self) -> Int[np.ndarray, " k"]:

@@ -9,7 +9,7 @@ from os import PathLike
 from typing import Any
 
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
-from pcm_jax.files._named import named_by_ids
+from pcm_jax.files._named import candidates_between
 from pcm_jax.files.account import Account
 from pcm_jax.files.assembly import MOST_BAD, check_one_group, closures_of, graph_of
 from pcm_jax.files.formats import named, recognised
@@ -168,11 +168,10 @@ def read_candidates(
     graph = maps if isinstance(maps, MultiRobotGraph) else MultiRobotGraph(tuple(maps))
     reading = Reading(information, default_sigmas=default_sigmas, group=graph.group)
     file, notes = _read_candidates(str(path), reading, skip_bad)
-    if file.named is None:
-        file = dataclasses.replace(file, named=named_by_ids(file, graph))
+    file, meant = candidates_between(file, graph)
     closures, told, copies = closures_of(file, graph, skip_bad)
     again = [f"{len(copies)} closures repeat earlier ones and are counted once"] if copies else []
-    for line in [*notes, *told, *again]:
+    for line in [*notes, *meant, *told, *again]:
         warnings.warn(InputWarning(line), stacklevel=2)
     return closures
 

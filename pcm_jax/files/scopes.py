@@ -3,7 +3,9 @@
 1. The format says so itself (JRL, RTAB-Map, bags), or a comment names a table of ids.
 2. Every id of a file is a GTSAM `LabeledSymbol`: the label is the robot.
 3. Every id of a file is a GTSAM symbol: the letter is the robot. Where two files measure the same
-   odometry of one letter differently, and neither speaks of another letter, each is a robot.
+   odometry of one letter differently, and neither speaks of another letter, each is a robot. "a12"
+   is robot a's symbol 12. A file of edges between letters that no map has, beside maps of plain
+   ids, holds candidates, and its letters are names for two of the robots (`_lettered`).
 4. Ids are plain numbers that are unique over the files, and some edge leads from one file's poses
    to another's: ids are shared, and a pose belongs to the file that holds its odometry. A file
    whose poses are all some other file's defines no robot; its edges are candidates.

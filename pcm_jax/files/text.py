@@ -16,8 +16,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax.errors import FileFormatError
+from pcm_jax.graph import symbols
 from pcm_jax.graph.validation import Fault, check_finite, raise_first
 
+_INTEGER = "an integer id of 64 bits"
 MOST_TAGS = 300  # different first words: formats have fewer, other files as many as lines
 
 
@@ -92,7 +94,18 @@ class Rows:
         Raises:
             FileFormatError: for a word that is not an integer of 64 bits.
         """
-        return self._converted(start, stop, int, np.int64, "an integer id of 64 bits")
+        return self._converted(start, stop, int, np.int64, _INTEGER)
+
+    def ids(self, start: int, stop: int) -> Int[np.ndarray, "n k"]:
+        """As `integers`; "a12" is the symbol key of robot a's pose 12.
+
+        Raises:
+            FileFormatError: for a word that is neither.
+        """
+        try:
+            return self.integers(start, stop)
+        except FileFormatError:
+            return self._converted(start, stop, symbols.key_of, np.int64, _INTEGER)
 
     def floats(self, start: int, stop: int) -> Float[np.ndarray, "n k"]:
         """Columns `start` to `stop` as float64 `[n, stop - start]`.

@@ -66,6 +66,19 @@ def with_indices(like: int, indices: Int[np.ndarray, " n"]) -> Int[np.ndarray, "
     return (key >> bits << bits) | indices.astype(np.int64)
 
 
+def key_of(text: str) -> int:
+    """The key that "a12" stands for, or the integer that the text is.
+
+    Raises:
+        ValueError: for other text.
+    """
+    if text[:1].isalpha() and text[:1].isascii() and text[1:].isdigit():
+        index = int(text[1:])
+        if index < INDEX_LIMIT:
+            return ord(text[0]) << INDEX_BITS | index
+    return int(text)
+
+
 def key_text(pose: int) -> str:
     """An id as messages show it: "b17" for a symbol key, "A17" for a labelled one, else digits."""
     key = np.array([pose], np.int64)

@@ -3,7 +3,7 @@
 A planar or a 4-DoF closure between maps in space has zeros in its information: of some directions
 it says nothing. Such an Ω is kept as it is. Its covariance is finite where it says something and
 without bound elsewhere, so it is handed on in two parts, of which only the span of the second
-matters (`consistency._limit` lets the variance along it grow without bound, exactly):
+matters (`consistency.limit` lets the variance along it grow without bound, exactly):
 
     Z = S V diag(1/λ, fill) Vᵀ S,     N = S V₀,      S Ω S = V diag(λ, 0) Vᵀ,   Sᵢᵢ = Ωᵢᵢ^(−1/2)
 
@@ -40,6 +40,21 @@ def ranks(information: Float[np.ndarray, "m d d"]) -> Int[np.ndarray, " m"]:
     values = np.linalg.eigvalsh(_scaled(information)[0])
     count = (values > ZERO).sum(axis=1)
     return np.where((values < -ZERO).any(axis=1), -1, count)
+
+
+def said(information: Float[np.ndarray, "m d d"]) -> Float[np.ndarray, "m d d"]:
+    """Computes projections of residuals `[m, d, d]` to what is said of them: rᵀ Ω r is unchanged.
+
+    What is taken out are the directions N that the information leaves unsaid, along which a
+    residual means nothing.
+    """
+    result = np.tile(np.eye(information.shape[-1]), (len(information), 1, 1))
+    for row in np.flatnonzero(rank_deficient(information)):
+        scaled, scale = _scaled(information[row][None])
+        values, vectors = np.linalg.eigh(scaled[0])
+        kept = vectors[:, values > ZERO]
+        result[row] = scale[0][:, None] * (kept @ kept.T) / scale[0][None, :]
+    return result
 
 
 def noise_of(

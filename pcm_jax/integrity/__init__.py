@@ -13,7 +13,7 @@ residuals    what is left of closures in the merged maps; the edges strained mos
 _loops       by how much the loops of chosen pairs of closures miss, and through whose errors
 _standing    the standing of a closure among the others: agreements, the worst conflict
 _sentences   explanations in words
-explanation  why each closure was accepted or dropped
+explanation  why each closure was accepted or rejected
 _mistakes    usual mistakes in what closures say and join, and closures without them
 _solved_mistakes     the same where something unknown is to be found: degrees, a sensor's place
 triage       where nearly all is rejected, the mistake that explains it

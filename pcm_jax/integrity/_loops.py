@@ -12,6 +12,10 @@ Walked from the end of closure u, the loop ends at E = S_u⁻¹ T_v T_u⁻¹ S_u
 It misses by |t| metres and |θ| radians, t and θ those of E. An error e of M moves E to
 `exp(Ad(S_u⁻¹) e) E`, and to first order |t| and |θ| by its parts along t and θ: hence the sigmas.
 Parts of M's sum take part in q² as wᵀ(·)w with w = M⁻¹ r, which add up to q²: the shares.
+
+Where closures leave directions N unsaid (`consistency.limit`), only what no step along N can mend
+counts: with M = L Lᵀ and P the projector to what the span of L⁻¹ N leaves, r becomes L P L⁻¹ r, its
+covariance L P Lᵀ, and w = L⁻ᵀ P L⁻¹ r. Distances are then as `PairEvidence.comparable` has them.
 """
 
 from __future__ import annotations
@@ -22,8 +26,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.consistency.limit import comparable, outside_of
 from pcm_jax.graph import LoopClosures
-from pcm_jax.graph.unsaid import held
+from pcm_jax.graph.unsaid import noise_of
+from pcm_jax.lie import unrolled
 from pcm_jax.mapping import MapCovariance
 
 PARTNERS, PAIRS = 32, 50_000
@@ -34,7 +40,8 @@ class Misses(NamedTuple):
     """The loops of p pairs of closures, each walked the way in which it fits worse.
 
     Attributes:
-        squared: `[p]`, the larger of q²_uv and q²_vu.
+        squared: `[p]`, the larger of q²_uv and q²_vu; of fewer than d degrees of freedom, as likely
+            with d.
         translation: `[p]`, metres by which the loop misses.
         rotation: `[p]`, radians.
         sigma: `[p, 2]`, their standard deviations for two right closures; metres, radians.
@@ -46,6 +53,22 @@ class Misses(NamedTuple):
     rotation: Float[np.ndarray, " p"]
     sigma: Float[np.ndarray, "p 2"]
     shares: Float[np.ndarray, "p 3"]
+
+
+class _Weighed(NamedTuple):
+    """Errors of p loops, weighed by their covariances.
+
+    Attributes:
+        squared: `[p]`, q², comparable.
+        error: `[p, d]`, the part of r that counts.
+        covariance: `[p, d, d]`, of it.
+        weight: `[p, d]`, w.
+    """
+
+    squared: Any
+    error: Any
+    covariance: Any
+    weight: Any
 
 
 class Loops:
@@ -64,7 +87,9 @@ class Loops:
         self.placed = lie.compose(self.reached, lie.inverse(lie.take(b.frame, poses[1])))
         information = np.asarray(closures.information, np.float64)
         adjoint = np.asarray(lie.adjoint(self.reached))
-        self._noise = adjoint @ np.linalg.inv(held(information)) @ adjoint.swapaxes(1, 2)
+        noise, free = noise_of(information)
+        self._noise = adjoint @ noise @ adjoint.swapaxes(1, 2)
+        self._free = None if free is None else adjoint @ free
         self._sides = _Side(a, poses[0]), _Side(b, poses[1])
 
     def squared(
@@ -77,8 +102,7 @@ class Loops:
         found = np.zeros(len(u))
         for some in self._portions(v):
             error, parts = self._parts(u[some], v[some])
-            total = parts.sum(axis=1)
-            found[some] = np.maximum(*(_form(one, error) for one in (total[:, 0], total[:, 1])))
+            found[some] = self._both_ways(error, parts, u[some], v[some]).max(axis=1)
         return np.where(u == v, 0.0, found).reshape(len(rows), len(columns))
 
     def misses(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Misses:
@@ -90,9 +114,15 @@ class Loops:
         return found
 
     def whitened(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Any:
-        """L⁻¹ of each pair's M = L Lᵀ, `[p, d, d]`: with it r is of unit covariance."""
+        """L⁻¹ of each pair's M = L Lᵀ, `[p, d, d]`: with it r is of unit covariance.
+
+        Of zero covariance along what closures leave unsaid: it is P L⁻¹.
+        """
         _, parts = self._parts(u, v)
-        return np.linalg.inv(np.linalg.cholesky(parts[:, :, 0].sum(axis=1)))
+        lower = np.linalg.cholesky(parts[:, :, 0].sum(axis=1))
+        white = np.linalg.inv(lower)
+        free = self._unsaid(u, v)
+        return white if free is None else _outside(lower, free) @ white
 
     def _portions(self, partners: Int[np.ndarray, " p"]) -> list[Int[np.ndarray, " q"]]:
         """The pairs, cut into portions of few partners and few pairs."""
@@ -118,21 +148,52 @@ class Loops:
         parts = [np.stack(both, axis=1) for both in ((of_a, of_a), turned, (noise, noise))]
         return error, np.stack(parts, axis=1)
 
+    def _both_ways(
+        self, error: Any, parts: Any, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]
+    ) -> Float[np.ndarray, "p 2"]:
+        """q²_uv and q²_vu, comparable."""
+        ways = (parts[:, :, way].sum(axis=1) for way in (0, 1))
+        return np.stack([self._weighed(error, way, u, v).squared for way in ways], axis=1)
+
+    def _weighed(
+        self, error: Any, total: Any, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]
+    ) -> _Weighed:
+        free = self._unsaid(u, v)
+        if free is None:
+            weight = _solved(total, error)
+            return _Weighed(np.einsum("pd,pd->p", weight, error), error, total, weight)
+        lower = np.linalg.cholesky(total)
+        outside = _outside(lower, free)
+        left = np.einsum("pij,pj->pi", outside, _solved(lower, error))
+        squared = comparable(
+            np.einsum("pd,pd->p", left, left),
+            np.round(np.trace(outside, axis1=1, axis2=2)),
+            error.shape[1],
+        )
+        counting = np.einsum("pij,pj->pi", lower, left)
+        weight = _solved(lower.swapaxes(1, 2), left)
+        return _Weighed(squared, counting, lower @ outside @ lower.swapaxes(1, 2), weight)
+
+    def _unsaid(
+        self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]
+    ) -> Float[np.ndarray, "p d f"] | None:
+        """N of each pair; None where all is said."""
+        if self._free is None:
+            return None
+        return np.concatenate([self._free[u], self._free[v]], axis=2)
+
     def _missed(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Misses:
         error, parts = self._parts(u, v)
-        both = np.stack([_form(parts[:, :, way].sum(axis=1), error) for way in (0, 1)], axis=1)
+        both = self._both_ways(error, parts, u, v)
         backward = both[:, 1] > both[:, 0]
         parts = np.where(backward[:, None, None, None], parts[:, :, 1], parts[:, :, 0])
-        weight = _solved(parts.sum(axis=1), error)
-        squared = np.einsum("pd,pd->p", weight, error)
-        shares = np.einsum("pi,psij,pj->ps", weight, parts, weight)
-        ends = np.where(backward, v, u)
-        own, other = (lie.take(self.placed, one) for one in (ends, np.where(backward, u, v)))
-        about = lie.take(self.reached, ends)
-        loop = lie.compose(
-            lie.compose(lie.inverse(about), lie.compose(other, lie.inverse(own))), about
-        )
-        seen = _carried(np.asarray(lie.adjoint(lie.inverse(about))), parts.sum(axis=1))
+        weighed = self._weighed(error, parts.sum(axis=1), u, v)
+        shares = np.einsum("pi,psij,pj->ps", weighed.weight, parts, weighed.weight)
+        about = lie.take(self.reached, np.where(backward, v, u))
+        way: Any = np.where(backward, -1.0, 1.0)[:, None] * weighed.error
+        back = lie.inverse(about)
+        loop = lie.compose(lie.compose(back, lie.exp(lie.group_of(about), way)), about)
+        seen = _carried(np.asarray(lie.adjoint(back)), weighed.covariance)
         translation = np.asarray(lie.translation(loop))
         space = translation.shape[1]
         rotation = np.asarray(lie.log(loop))[:, space:]
@@ -144,7 +205,7 @@ class Loops:
             axis=1,
         )
         with np.errstate(divide="ignore", invalid="ignore"):
-            shares = shares / squared[:, None]
+            shares = shares / shares.sum(axis=1, keepdims=True)
         lengths = np.linalg.norm(translation, axis=1), np.linalg.norm(rotation, axis=1)
         return Misses(both.max(axis=1), *lengths, sigma, shares)
 
@@ -180,6 +241,15 @@ def _carried(adjoint: Float[np.ndarray, "p d d"], covariance: Any) -> Float[np.n
     return adjoint @ covariance @ adjoint.swapaxes(1, 2)
 
 
+def _outside(
+    lower: Float[np.ndarray, "p d d"], free: Float[np.ndarray, "p d f"]
+) -> Float[np.ndarray, "p d d"]:
+    """P of each pair, see `consistency.limit`."""
+    entries: unrolled.Matrix = tuple(tuple(row) for row in lower.transpose(1, 2, 0))
+    rows = outside_of(entries, [tuple(column) for column in free.transpose(2, 1, 0)])
+    return np.stack([np.stack(row) for row in rows]).transpose(2, 0, 1)
+
+
 def _solved(matrices: Any, vectors: Any) -> Float[np.ndarray, "p d"]:
     """M⁻¹ r; NaN where M is singular."""
     try:
@@ -190,10 +260,6 @@ def _solved(matrices: Any, vectors: Any) -> Float[np.ndarray, "p d"]:
         return np.where(
             singular[:, None], np.nan, np.linalg.solve(safe, vectors[..., None])[..., 0]
         )
-
-
-def _form(matrices: Any, vectors: Any) -> Float[np.ndarray, " p"]:
-    return np.einsum("pd,pd->p", vectors, _solved(matrices, vectors))
 
 
 def _along(vectors: Float[np.ndarray, "p s"], covariance: Float[np.ndarray, "p s s"]) -> Any:

@@ -14,7 +14,7 @@ def sentence(told: Any) -> str:
     head = f"Closure {told.index} ({told.a} to {told.b})"
     if told.of is None:
         return f"{head} {told.because}{_afterwards(told)}."
-    return f"{head} {_accepted(told) if told.accepted else _dropped(told)}."
+    return f"{head} {_accepted(told) if told.accepted else _rejected(told)}."
 
 
 def agreement(told: Any) -> str:
@@ -62,10 +62,10 @@ def unweighed(merged: Any, index: int, accepted: bool, fit: Any) -> str:
             return f"was kept by {merged.method} with {share}"
         if merged.robust.accepted[index]:
             return (
-                f"was dropped: {merged.method} kept it with {share}, but too few others between"
+                f"was rejected: {merged.method} kept it with {share}, but too few others between"
                 " these robots"
             )
-        return f"was turned down by {merged.method} to {share}"
+        return f"was rejected: {merged.method} turned it down to {share}"
     if accepted:
         why = "every closure was" if merged.method == "all" else "it was given as accepted"
         return f"was accepted because {why}; it was not weighed against others"
@@ -81,31 +81,33 @@ def _accepted(told: Any) -> str:
         text = f"was accepted: it agrees with {those.get(of, f'all {of} other accepted ones')}"
     else:
         text = f"was accepted, though it agrees with {agrees} of the {of} other accepted ones"
-    text += f"; its loop fits worst with closure {worst.index}, missing by {miss(worst)}"
+    text += f"; of its loops with them that with closure {worst.index} fits worst, missing by "
+    text += miss(worst)
     return text + _afterwards(told)
 
 
 def _afterwards(told: Any) -> str:
     if told.fit is None:
         return ""
-    expected = len(told.fit.residual)
-    return f"; in the merged map its chi-squared is {number(told.fit.chi2)} ({expected} expected)"
+    return (
+        f"; in the merged map its chi-squared is {number(told.fit.chi2)} ({told.fit.dof} expected)"
+    )
 
 
 def _between(told: Any) -> str:
     return " and ".join(told.robots)
 
 
-def _dropped(told: Any) -> str:
+def _rejected(told: Any) -> str:
     if told.standing.startswith("pair refused"):
         return (
-            f"was dropped with all that were found between {_between(told)}, "
+            f"was rejected with all that were found between {_between(told)}, "
             f"which were refused: {told.because}"
         )
     if told.standing == "left out of the merge":
         return "was selected, but left out when the maps were merged" + _worst(told)
     if told.of == 0:
-        return f"was dropped: {told.because or 'nothing was found that agrees'}"
+        return f"was rejected: {told.because or 'nothing was found that agrees'}"
     set_of = {"accepted": "accepted ones", "found": "found to agree"}[told.among]
     if told.of > 1:
         agrees = f"agrees with {told.agrees_with} of the {told.of} {set_of}"
@@ -113,7 +115,7 @@ def _dropped(told: Any) -> str:
         only = {"accepted": "accepted one", "found": "one found"}[told.among]
         agrees = f"{'agrees' if told.agrees_with else 'does not agree'} with the only {only}"
     apart = "" if told.among == "accepted" else f"; nothing between {_between(told)} is believed"
-    return f"was dropped: it {agrees}{_worst(told)}{_tail(told)}{apart}"
+    return f"was rejected: it {agrees}{_worst(told)}{_tail(told)}{apart}"
 
 
 def _is_rival(told: Any) -> bool:
@@ -122,7 +124,11 @@ def _is_rival(told: Any) -> bool:
 
 def _worst(told: Any) -> str:
     worst = told.worst_conflict
-    return "" if worst is None else f"; with closure {worst.index} its loop misses by {miss(worst)}"
+    return (
+        ""
+        if worst is None
+        else f"; the loop that it makes with closure {worst.index} misses by {miss(worst)}"
+    )
 
 
 def _tail(told: Any) -> str:

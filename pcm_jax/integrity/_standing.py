@@ -65,7 +65,8 @@ class Conflict:
 
     Attributes:
         index: of the other closure, among the candidates.
-        squared: the larger of its two squared distances (eq. 4).
+        squared: the larger of its two squared distances (eq. 4); where closures leave directions
+            unsaid, as likely with d degrees of freedom (`PairEvidence.comparable`).
         translation: metres by which the loop misses; NaN where it cannot be said.
         translation_sigma: standard deviation of that for two right closures.
         rotation: degrees.
@@ -224,14 +225,14 @@ def _larger(
     """D of some closures with others; distances that were not kept are computed anew."""
     if evidence.is_streamed:
         return loops.squared(rows, against)
-    squared = evidence.squared
+    squared = evidence.comparable
     return np.maximum(squared[np.ix_(rows, against)], squared[np.ix_(against, rows)].T)
 
 
 def _agreeing(pair: PairSelection, rows: Int[np.ndarray, " r"]) -> Int[np.ndarray, " r"]:
     if pair.evidence.is_streamed:
         return pair.evidence.packed(pair.gate).degree[rows]
-    within = pair.evidence.squared <= pair.gate
+    within = pair.evidence.comparable <= pair.gate
     return (within[rows] & within[:, rows].T).sum(axis=1) - within[rows, rows]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -12,6 +13,7 @@ from scipy.special import chdtri
 
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity.variance_components import Components, scaled_information
+from pcm_jax.tables import NOTHING, ShownAsTable
 
 Graph = TypeVar("Graph", PoseGraph, MultiRobotGraph)
 
@@ -19,8 +21,6 @@ ALIKE = 1.25
 """Times, up or down: a factor on the information that is no news."""
 NEAR_IT = 1.1
 """Times, beyond the interval's ends: a factor is the information itself, so that is a root."""
-
-
 SHOWN = 200
 """Quantiles of a kind."""
 
@@ -66,7 +66,7 @@ class Factors(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Calibration:
+class Calibration(ShownAsTable):
     """The factors on stated information under which residuals are as large as they should be.
 
     Attributes:
@@ -102,6 +102,14 @@ class Calibration:
             f"  closures  translation {self.closures.translation!r}, rotation"
             f" {self.closures.rotation!r}"
         )
+
+    def _table(self) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+        rows = (
+            (kind, name, *_numbers(factor), _how(factor).partition(" (")[0])
+            for kind, factors in (("odometry", self.odometry), ("closures", self.closures))
+            for name, factor in factors._asdict().items()
+        )
+        return ("edges", "errors in", "factor on information", "90 % interval", "so"), rows
 
     def __str__(self) -> str:
         return "\n".join(self.advice())
@@ -242,6 +250,14 @@ def _in_words(kind: str, translation: Factor, rotation: Factor) -> str:
         for name, factor in (("translation", translation), ("rotation", rotation))
     ]
     return f"{kind}: {', '.join(said)}"
+
+
+def _numbers(factor: Factor) -> tuple[str, str]:
+    """A factor and its interval, as text."""
+    if not factor.known:
+        return NOTHING, NOTHING
+    low, high = factor.interval
+    return f"{float(factor):.3g}", f"{low:.3g} to {high:.3g}"
 
 
 def _how(factor: Factor) -> str:

@@ -225,11 +225,11 @@ def _outcome(pairs: ConsistentPairs, at_least: int, mark: _Mark) -> _Outcome:
     pairs = pairs.peeled(at_least)
     if len(pairs.u) == 0:
         return _Outcome(1 if at_least == 0 else 0, False)
-    _, best = _best(pairs)
-    more = best.places > mark.places
-    return _Outcome(
-        best.places, more or (best.places == mark.places and best.total <= ABOUT * mark.total)
-    )
+    largest = _Graph.of(pairs)
+    places = int(largest.members(None).sum())
+    if places != mark.places:
+        return _Outcome(places, places > mark.places)
+    return _Outcome(places, largest.total(largest.tightest(None)) <= ABOUT * mark.total)
 
 
 def _among(pairs: ConsistentPairs, within: Bool[np.ndarray, " k"]) -> ConsistentPairs:
@@ -242,12 +242,42 @@ def _best(
     """A largest set, of those the one of least total; where the time is over, a large one."""
     if len(pairs.u) == 0:
         return np.zeros(0, np.int64), _Mark(1, 0.0)
-    closures, ends = np.unique(np.stack([pairs.u, pairs.v]), return_inverse=True)
-    u, v = ends.reshape(2, -1)
-    graph = np.zeros((len(closures), len(closures)), bool)
-    squared = np.zeros(graph.shape)
-    graph[u, v] = graph[v, u] = True
-    squared[u, v] = squared[v, u] = pairs.squared
-    found = maximum_clique(graph, tie_break=squared, time_limit=limit).members
-    total = squared[np.ix_(found, found)].sum() / 2.0
-    return closures[found], _Mark(int(found.sum()), float(total))
+    graph = _Graph.of(pairs)
+    found = graph.tightest(limit)
+    return graph.closures[found], _Mark(int(found.sum()), graph.total(found))
+
+
+class _Graph(NamedTuple):
+    """The closures that agree with others, as a graph.
+
+    Attributes:
+        closures: `[n]`, which they are.
+        adjacent: bool `[n, n]`.
+        squared: `[n, n]`, q² where adjacent.
+    """
+
+    closures: Int[np.ndarray, " n"]
+    adjacent: Bool[np.ndarray, "n n"]
+    squared: Any
+
+    @classmethod
+    def of(cls, pairs: ConsistentPairs) -> _Graph:
+        closures, ends = np.unique(np.stack([pairs.u, pairs.v]), return_inverse=True)
+        u, v = ends.reshape(2, -1)
+        adjacent = np.zeros((len(closures), len(closures)), bool)
+        squared = np.zeros(adjacent.shape)
+        adjacent[u, v] = adjacent[v, u] = True
+        squared[u, v] = squared[v, u] = pairs.squared
+        return cls(closures, adjacent, squared)
+
+    def members(self, limit: float | None) -> Bool[np.ndarray, " n"]:
+        """A largest set."""
+        return maximum_clique(self.adjacent, time_limit=limit).members
+
+    def tightest(self, limit: float | None) -> Bool[np.ndarray, " n"]:
+        """Of the largest sets the one of least total."""
+        return maximum_clique(self.adjacent, tie_break=self.squared, time_limit=limit).members
+
+    def total(self, members: Bool[np.ndarray, " n"]) -> float:
+        """The sum of q² over the pairs of a set."""
+        return float(self.squared[np.ix_(members, members)].sum()) / 2.0

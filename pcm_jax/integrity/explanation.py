@@ -1,4 +1,4 @@
-"""Explanations: why each closure was accepted or dropped, in numbers and in a sentence.
+"""Explanations: why each closure was accepted or rejected, in numbers and in a sentence.
 
 Nothing is computed for it that a merge does not have, but the loops of the worst conflicts (and the
 distances to the accepted ones where they were streamed), see `_standing`. What a merge does not
@@ -78,7 +78,7 @@ class Explanation:
             "agreeing": self.agreeing,
             "worst_conflict": self.worst_conflict and self.worst_conflict.as_dict(),
             "enters_at": self.enters_at,
-            "fit": fit and {"chi2": fit.chi2, "p": fit.p, "residual": fit.by_axis},
+            "fit": fit and {"chi2": fit.chi2, "p": fit.p, "dof": fit.dof, "residual": fit.by_axis},
         }
 
     def __repr__(self) -> str:

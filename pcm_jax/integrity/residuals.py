@@ -18,7 +18,7 @@ from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency.joint import survival
 from pcm_jax.errors import InputError
-from pcm_jax.graph import LoopClosures, PoseGraph
+from pcm_jax.graph import LoopClosures, PoseGraph, unsaid
 
 AXES = {3: ("x", "y", "theta"), 6: ("x", "y", "z", "rx", "ry", "rz")}
 """Names of a residual's entries, by their number: metres, then radians."""
@@ -31,13 +31,15 @@ class Fit:
     Attributes:
         chi2: rᵀΩr.
         residual: `[d]` Log of what is left between the measurement and the map, seen from where the
-            measurement ends; metres, then radians.
+            measurement ends; metres, then radians. Without what the measurement does not say.
         p: probability that a right measurement between certain poses has a chi2 at least as large.
+        dof: degrees of freedom of chi2: d, or the rank of the measurement's information.
     """
 
     chi2: float
     residual: tuple[float, ...]
     p: float
+    dof: int
 
     @property
     def by_axis(self) -> dict[str, float]:
@@ -70,7 +72,7 @@ class StrainedEdge:
         off = ", ".join(f"{name} {value:.3g}" for name, value in self.fit.by_axis.items())
         return (
             f"StrainedEdge({self.tail} to {self.head}, {kind} of robot {self.robot})\n"
-            f"  chi2      {self.fit.chi2:.4g}, {len(self.fit.residual)} expected\n"
+            f"  chi2      {self.fit.chi2:.4g}, {self.fit.dof} expected\n"
             f"  residual  {off} (m, rad)"
         )
 
@@ -155,8 +157,10 @@ def _residuals(
 
 def _fits(tail: Any, head: Any, edges: Any) -> list[Fit]:
     residual, chi2 = _residuals(tail, head, edges)
-    dof = residual.shape[1]
+    information = np.asarray(edges.information)
+    dof = unsaid.ranks(information)
+    said = np.einsum("kij,kj->ki", unsaid.said(information), residual)
     return [
-        Fit(float(square), tuple(own), survival(float(square), dof))
-        for square, own in zip(chi2, residual.tolist(), strict=True)
+        Fit(square, tuple(own), survival(square, degrees), degrees)
+        for square, own, degrees in zip(chi2.tolist(), said.tolist(), dof.tolist(), strict=True)
     ]

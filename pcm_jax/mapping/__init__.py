@@ -11,12 +11,21 @@ Data walks through this folder once:
     _gauss_newton       the optimistix solver that steps on the manifold
     least_squares       padding and one compiled call around all of these
     priors              measurements of single poses: where they put a map, what they leave free
+    certificate         whether no other poses can fit better
     optimization        `optimize`, what users call
     covariance          `MapCovariance` of the poses at the optimum
     implicit            the optimum as a differentiable function of its data
 """
 
+from pcm_jax.mapping.certificate import Certificate, certify
 from pcm_jax.mapping.covariance import MapCovariance, joint_marginal_covariance
 from pcm_jax.mapping.optimization import Solution, optimize
 
-__all__ = ["MapCovariance", "Solution", "joint_marginal_covariance", "optimize"]
+__all__ = [
+    "Certificate",
+    "MapCovariance",
+    "Solution",
+    "certify",
+    "joint_marginal_covariance",
+    "optimize",
+]

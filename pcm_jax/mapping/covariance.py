@@ -16,15 +16,16 @@ from __future__ import annotations
 
 import functools
 import threading
+import warnings
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import as_array, on_host
-from pcm_jax.errors import InputError, check_class
+from pcm_jax.errors import InputError, InputWarning, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import apart, edge_products, linearize
 from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, with_frame
@@ -41,6 +42,8 @@ from pcm_jax.sparse.inverse import (
 from pcm_jax.sparse.system import system_for
 
 SIDES = ("right", "left")
+LOST = 1e-3
+"""Share of a covariance that rounding may take without a word."""
 COMPILED_FROM = 8192
 """Edges: up to here NumPy linearises sooner than JAX compiles."""
 
@@ -355,12 +358,48 @@ def covariance_factor(graph: PoseGraph) -> CholeskyFactor:
     products = _edge_information(poses, *edges)
     system = system_for(len(fixed), problem.tail, problem.head, fixed, graph.tangent_dim)
     try:
-        return system.factorize(products)
+        factor = system.factorize(products)
     except NotPositiveDefiniteError as error:
         raise InputError(
             f"pose_graph {graph.name!r}: its information is singular: some pose is tied to the"
             " first one by measurements of almost no weight"
         ) from error
+    lost = _lost(factor, products, np.stack([problem.tail, problem.head]), ~fixed)
+    if lost > LOST:
+        warnings.warn(
+            InputWarning(
+                f"map {graph.name!r}: the information of its edges spans so many orders of"
+                f" magnitude that covariances are right to about {lost:.1g} of their value only"
+            ),
+            stacklevel=2,
+        )
+    return factor
+
+
+def _lost(
+    factor: CholeskyFactor,
+    products: Float[np.ndarray, "3 e d d"],
+    ends: Int[np.ndarray, "2 e"],
+    free: Bool[np.ndarray, " n"],
+) -> float:
+    """The share of a random x that H⁻¹ (H x) misses: a few times what rounding costs covariances.
+
+    Against sixty digits, of maps whose edges span 6 to 14 orders: 3 to 20 times the largest error
+    of a covariance, over the two standard deviations.
+    """
+    count, d = len(free), products.shape[-1]
+    x = np.random.default_rng(0).normal(size=(count, d)) * free[:, None]
+    of_tail, of_head, across = products[:, : ends.shape[1]]
+    tail, head = x[ends[0]], x[ends[1]]
+    image = np.zeros((count, d))
+    np.add.at(image, ends[0], _times(of_tail, tail) + _times(across.swapaxes(1, 2), head))
+    np.add.at(image, ends[1], _times(of_head, head) + _times(across, tail))
+    found = factor.solve((image * free[:, None]).ravel()).reshape(count, d)
+    return float(np.abs(found - x).max(initial=0.0))
+
+
+def _times(matrices: Any, vectors: Any) -> Float[np.ndarray, "e d"]:
+    return np.einsum("eij,ej->ei", matrices, vectors)
 
 
 def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:

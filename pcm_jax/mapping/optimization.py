@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
 from typing import Any
 
@@ -13,6 +14,7 @@ from pcm_jax.arrays import on_host
 from pcm_jax.errors import InputError, InputWarning, check_choice, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.spanning_tree import spanning_tree_poses
+from pcm_jax.mapping.certificate import Certificate, certify
 from pcm_jax.mapping.initialization import chordal_poses
 from pcm_jax.mapping.least_squares import MAX_STEPS, SOLVERS, PoseProblem, Solved, check_names
 from pcm_jax.mapping.priors import held, placed, position_only, priors_of, turned
@@ -39,6 +41,17 @@ class Solution:
     initial_cost: float
     iterations: int
     converged: bool
+
+    @functools.cached_property
+    def certificate(self) -> Certificate:
+        """The proof that no other poses fit better, if there is one; see `mapping.certificate`.
+
+        Costs a few times what `optimize` does.
+
+        Raises:
+            InputError: for a map with priors.
+        """
+        return certify(self.graph)
 
     def __repr__(self) -> str:
         how = "converged" if self.converged else "did not converge"

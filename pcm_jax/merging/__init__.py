@@ -6,7 +6,7 @@ _frames          whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
 merged           every group at its optimum, and the poses back in the robots' maps
-_recall          edges that were left out, but agree with the merged map, come back
+recall           edges that were left out, but agree with the merged map, come back
 refine           that, and graduated non-convexity before it
 refinement       `Refinement`: what these changed
 _untied          directions in which closures of singular information leave a map free

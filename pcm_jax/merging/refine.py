@@ -1,6 +1,6 @@
 """Refine: the merged map judges every closure once more, and those inside the maps.
 
-"recall"   what the selection left out comes back where it agrees with the merged map (`_recall`).
+"recall"   what the selection left out comes back where it agrees with the merged map (`recall`).
 "gnc"      before that, graduated non-convexity: truncated least squares over all closures of robots
            that are joined and over the loops inside their maps, from the merged map. Odometry is
            known to be right; an edge in doubt costs min(χ², γ²). H. Yang, P. Antonante, V. Tzoumas
@@ -30,10 +30,10 @@ from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import Framed, with_frame
 from pcm_jax.mapping.optimization import host_arrays, problem_of
 from pcm_jax.mapping.priors import held
-from pcm_jax.merging._recall import recall
 from pcm_jax.merging.groups import closures_within
 from pcm_jax.merging.joint import cut_apart, joint_graph
 from pcm_jax.merging.merged import Merged, freedom_of
+from pcm_jax.merging.recall import recall
 from pcm_jax.merging.refinement import JointTest, Refinement
 from pcm_jax.merging.robust.methods import from_here
 from pcm_jax.merging.robust.solve import reweighted, squared_residuals
@@ -198,7 +198,15 @@ class _Group:
         """The group with what comes back."""
         joint = self._joint_test()
         eligible = doubt & ~self.used & recalling
-        found = recall(self.joint, self.used, eligible, joint, confidence=confidence, engine=engine)
+        found = recall(
+            self.joint,
+            self.used,
+            eligible,
+            joint,
+            accepted=doubt & self.used,
+            confidence=confidence,
+            engine=engine,
+        )
         moved = self.joint.with_poses(found.poses)
         part = _Part(found.joint, found.rounds, found.settled)
         return dataclasses.replace(self, joint=moved, used=found.used), part

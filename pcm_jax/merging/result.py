@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import warnings
+from collections.abc import Iterable, Sequence
 from os import PathLike
 from typing import Any
 
@@ -27,6 +28,7 @@ from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.refinement import Refinement
 from pcm_jax.merging.robust import RobustSolution
 from pcm_jax.selection import Selection
+from pcm_jax.tables import ShownAsTable
 
 LINEAR_TO = np.radians(40.0)
 """Standard deviation of a heading up to which covariances to first order hold."""
@@ -56,7 +58,7 @@ class MergeSolution:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class MergeResult:
+class MergeResult(ShownAsTable):
     """Several maps merged by the closures that were accepted.
 
     Attributes:
@@ -110,6 +112,13 @@ class MergeResult:
             f"  groups  {groups}\n"
             f"  fit     cost {fit.cost:.6g}, normalised χ² {chi2}, {end}, by {self.method}"
         )
+
+    def _table(self) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+        if self.selection is not None:
+            return self.selection._table()
+        rows = pair_rows(self)
+        counts = ((f"{row['a']} – {row['b']}", row["measured"], row["accepted"]) for row in rows)
+        return ("robots", "measured", "accepted"), counts
 
     @property
     def recalled(self) -> Bool[np.ndarray, " m"]:
@@ -305,19 +314,20 @@ class MergeResult:
             "seconds": dict(self.seconds),
         }
 
-    def plot(self, ax: Any = None, *, is_true: Any = None) -> Any:
+    def plot(self, ax: Any = None, *, is_true: Any = None, projection: str | None = None) -> Any:
         """Draws the merged maps with accepted and rejected closures; needs the `plot` extra.
 
         Args:
             ax: matplotlib axes; new ones by default.
             is_true: bool `[m]`, the closures that are right, if known.
+            projection: the two axes drawn, such as "xz"; None: those of the greatest extent.
 
         Returns:
             The axes.
         """
         from pcm_jax.plots import plot_merge
 
-        return plot_merge(self, ax, is_true=is_true)
+        return plot_merge(self, ax, is_true=is_true, projection=projection)
 
     def to_html(self, path: str | PathLike[str]) -> None:
         """Writes the report as one HTML page that needs no network: maps, closures and why.

@@ -185,7 +185,7 @@ def _has_tails(graph: PoseGraph, seed: int) -> bool:
 def _cleaned(one: PoseGraph, confidence: float, seed: int) -> PoseGraph | None:
     """The map without closures that contradict it; None where that takes them all."""
     try:
-        kept = select_within(one, confidence=confidence, seed=seed)
+        kept = select_within(one, confidence=confidence, recall=False, seed=seed)
     except InputError:  # no chain of odometry
         return None
     return kept.graph if kept.accepted.any() else None

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import (
     Evidence,
@@ -21,9 +22,16 @@ from pcm_jax.consistency import (
 )
 from pcm_jax.consistency.evidence import checked_squared
 from pcm_jax.consistency.problem import bytes_needed, check_pair
-from pcm_jax.errors import ConvergenceWarning, InputError, check_class, check_number
+from pcm_jax.errors import (
+    ConvergenceWarning,
+    InputError,
+    InputWarning,
+    check_class,
+    check_number,
+)
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance, optimize
+from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 
 MEMORY_LIMIT = 2e9
@@ -32,6 +40,8 @@ MEMORY_LIMIT = 2e9
 Metric = Callable[[PoseGraph, PoseGraph, LoopClosures], Float[np.ndarray, "k k"]]
 """A function of one's own: squared distances of the closures, all from map a to map b."""
 
+AT_REST, AT_REST_SHARE = 1.0, 0.01
+"""Change of a map's chi-squared by one more step that is no matter, and its share of the whole."""
 MAHALANOBIS = "mahalanobis"
 
 
@@ -77,6 +87,7 @@ def weigh(
 
     Warns:
         ConvergenceWarning: for a map whose optimisation stopped before it converged.
+        InputWarning: for a map said to be `optimized` that is not.
     """
     check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
     metric = _checked_metric(metric)
@@ -122,6 +133,8 @@ def optimized_maps(
         initial: where `optimize` starts.
     """
     if optimized:
+        for one in maps:
+            _tell_if_not_at_rest(one)
         return maps
     found = []
     for number, one in enumerate(maps):
@@ -129,6 +142,23 @@ def optimized_maps(
         found.append(_optimised(one, initial))
     tell("optimize", len(maps), len(maps))
     return tuple(found)
+
+
+def _tell_if_not_at_rest(pose_graph: PoseGraph) -> None:
+    """Warns where one step of Gauss-Newton still moves a map by more than its uncertainty."""
+    if pose_graph.num_edges == 0:
+        return
+    step = problem_of(pose_graph).solve(lie.as_numpy(pose_graph.poses), max_steps=2)
+    changed = 2.0 * abs(step.initial_cost - step.cost)
+    if not changed <= max(AT_REST, AT_REST_SHARE * 2.0 * step.initial_cost):
+        warnings.warn(
+            InputWarning(
+                f"optimized: map {pose_graph.name!r} is not at its optimum, a step changes its"
+                f" chi-squared of {2.0 * step.initial_cost:.4g} by {changed:.2g}; expected maps as"
+                " pcm_jax.optimize returns them, else distances are wrong"
+            ),
+            stacklevel=4,
+        )
 
 
 def checked_limit(memory_limit: float) -> float:

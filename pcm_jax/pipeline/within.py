@@ -12,6 +12,9 @@ they are judged under that; but if it drops those that agree with odometry as st
 are not beyond chance: many false closures that say the same are no scale. What is found is accepted
 if chance hardly does as well (`integrity.within`): under a fitted scale by shuffles that are fitted
 too, at half the level; as stated by either test, at half of what is left each.
+
+The larger the largest set, the more right closures it leaves out, of which one pair in a hundred
+fails the gate; those that the cleaned map agrees with come back (`_within_recall`).
 """
 
 from __future__ import annotations
@@ -31,6 +34,7 @@ from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity import SIGNIFICANCE, ChanceLevel, Places, Verdict
 from pcm_jax.integrity.within import level_of_measurements, level_of_poses
+from pcm_jax.pipeline._within_recall import with_recalled
 from pcm_jax.pipeline._within_trials import Asked, Trial, Trials
 from pcm_jax.pipeline.select import CHANCE, check_minimum
 from pcm_jax.selection.choose import Method, check_method
@@ -53,6 +57,7 @@ def select_within(
     minimum_inliers: int | str = CHANCE,
     significance: float | None = None,
     separation: float | None = None,
+    recall: bool | None = None,
     time_limit: float | None = None,
     seed: int | None = None,
     **options: Any,
@@ -84,6 +89,8 @@ def select_within(
             by default.
         separation: metres along the way between closures that are two witnesses, see
             `integrity.places`; by default as there.
+        recall: whether closures that the largest set leaves out come back where the map that it
+            makes agrees with them; None: with "chance" and `own_loop`.
         time_limit: seconds for the method, if it has the option: 60 by default, `math.inf` for any
             time. Whether it sufficed is `optimal`.
         seed: of what chance draws, 0 by default; the same seed gives the same answer.
@@ -101,6 +108,8 @@ def select_within(
     options = _with_time_limit(method, time_limit, options)
     check_minimum(minimum_inliers, _given(significance=significance, seed=seed))
     _check_numbers(odometry_scale, significance, separation)
+    if recall is not None and not isinstance(recall, bool):
+        raise InputError(f"recall: {recall!r}, expected True, False or None")
     gate = float(chi2_gate(confidence, pose_graph.tangent_dim))
     asked = Asked(gate, method, own_loop, options, separation)
     start = time.perf_counter()
@@ -121,6 +130,13 @@ def select_within(
         verdict = dataclasses.replace(verdict, why=why)
     kept = odometry.copy()
     kept[closures] = trial.members & verdict.believed
+    members = kept.copy()
+    if recall is None:
+        recall = minimum_inliers == CHANCE and own_loop
+    judged = time.perf_counter()
+    if recall and kept[closures].any():
+        asked_of = {"factor": trial.factor, "confidence": confidence}
+        kept = with_recalled(pose_graph, kept, odometry, **asked_of)
     return WithinSelection(
         graph=pose_graph.with_edges(kept),
         kept=kept,
@@ -130,12 +146,14 @@ def select_within(
         own_squared=trial.own_squared,
         gate=gate,
         accepted=kept[closures],
+        recalled=(kept & ~members)[closures],
         optimal=trial.choice.optimal,
         upper_bound=trial.choice.upper_bound,
         seconds={
             "consistency": trials.measuring,
             "clique": chosen - start - trials.measuring,
-            "chance": time.perf_counter() - chosen,
+            "chance": judged - chosen,
+            "recall": time.perf_counter() - judged,
         },
         odometry_scale=trial.factor,
         verdict=verdict,

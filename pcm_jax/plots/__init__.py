@@ -1,7 +1,8 @@
 """Every picture the package draws; the only importers of matplotlib. Needs the `plot` extra.
 
     maps           trajectories, closures by what became of them, several merges side by side
-    _consistency   squared distances, the consistency graph, the gate
+    _consistency   squared distances, the consistency graph
+    _gate          the gate, and if it is right, by the law of the distances
     _methods       precision and recall, sweeps of thresholds, times, set sizes
     _calibration   residuals against what they should be
     _tables        a comparison table as a picture
@@ -14,9 +15,9 @@ returns the axes; saving and showing are left to the caller.
 from pcm_jax.plots._calibration import plot_calibration
 from pcm_jax.plots._consistency import (
     plot_consistency_graph,
-    plot_gate,
     plot_squared_distances,
 )
+from pcm_jax.plots._gate import plot_gate
 from pcm_jax.plots._methods import (
     plot_precision_recall,
     plot_seconds,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pcm_jax.integrity import Calibration
-from pcm_jax.integrity.calibration import quantiles_of
+from pcm_jax.integrity.calibration import Factors, quantiles_of
 from pcm_jax.plots import style
 from pcm_jax.plots.style import axes_or_new, legend_below
 
@@ -32,7 +32,8 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
     components, d = calibration.components, calibration.tangent_dim
     both = (components.as_stated, "as stated"), (components.squared, "calibrated")
     drawn = []
-    for row, kind in enumerate(("odometry", "closures")):
+    named = ("odometry", calibration.odometry), ("closures", calibration.closures)
+    for row, (kind, told) in enumerate(named):
         for values, when in both:
             if not len(values[row]):
                 continue
@@ -47,12 +48,18 @@ def plot_calibration(calibration: Calibration, ax: Any = None) -> Any:
                 markersize=4.0,
                 color=look["color"],
                 markerfacecolor=filled,
-                label=f"{kind}, {when}",
+                label=f"{kind}, {when}{_factors(told) if when == 'calibrated' else ''}",
             )
             drawn.append(expected)
     ends = [min(map(np.min, drawn), default=0.1), max(map(np.max, drawn), default=10.0)]
     ax.plot(ends, ends, color=style.GREY, label="honest", zorder=1.0)
     ax.set(xscale="log", yscale="log", xlabel=f"chi-squared with {d} degrees of freedom")
     ax.set_ylabel("squared residual")
-    legend_below(ax, columns=2)
+    legend_below(ax, columns=1)
     return ax
+
+
+def _factors(told: Factors) -> str:
+    """The factors that calibrated residuals are of, in a legend's words."""
+    known = [f"{name} {float(each):.3g}" for name, each in told._asdict().items() if each.known]
+    return f" (information × {', '.join(known)})" if known else ""

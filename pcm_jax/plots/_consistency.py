@@ -1,4 +1,4 @@
-"""Pictures of pairwise consistency: the squared distances, the gate, and the graph."""
+"""Pictures of pairwise consistency: the squared distances, and the graph of those inside."""
 
 from __future__ import annotations
 
@@ -17,13 +17,8 @@ from pcm_jax.plots.style import axes_or_new, legend_below
 _DECADES = 3.0
 # Node numbers are readable up to about this many around the circle.
 _NUMBERED_NODES = 48
-# Width of a histogram's bins, in decades: four to a factor of ten.
-_BIN = 0.25
-# Right pairs, and pairs of unknown truth, are dark; others are an outline that hides nothing.
-_HISTOGRAMS: tuple[dict[str, Any], ...] = (
-    {"fill": True, "color": style.BLUE, "alpha": 0.85, "zorder": 2.0},
-    {"fill": False, "color": style.GREY, "hatch": "////", "linewidth": 1.5, "zorder": 2.5},
-)
+# Chords of a kind that are drawn, and that still show as lines.
+_MOST_CHORDS, _PLAIN_CHORDS = 1_500, 400
 
 
 def plot_squared_distances(
@@ -52,7 +47,7 @@ def plot_squared_distances(
     """
     from matplotlib.colors import LogNorm
 
-    values = _checked_distances(squared, gate)
+    values = checked_distances(squared, gate)
     np.fill_diagonal(values, np.nan)
     if order is not None:
         values = values[np.ix_(np.asarray(order), np.asarray(order))]
@@ -80,7 +75,8 @@ def plot_consistency_graph(
     """Draws measurements on a circle and their consistent pairs as chords; a clique lights up.
 
     The clique's members stand on a circle of their own inside. Measurements keep their order,
-    clockwise from the top.
+    clockwise from the top. Of many thousands of pairs some are drawn, evenly spaced; the legend
+    says one in how many.
 
     Args:
         graph: symmetric adjacency, as of `consistency_graph`.
@@ -114,61 +110,8 @@ def plot_consistency_graph(
     return ax
 
 
-def plot_gate(
-    squared: Float[Array, "m m"] | PairEvidence,
-    gate: float,
-    *,
-    dof: int,
-    is_true: Bool[np.ndarray, " m"] | None = None,
-    ax: Any = None,
-) -> Any:
-    """Draws how the squared distances are spread beside what two right closures should have.
-
-    Where truth is known, pairs of two true closures are drawn apart from the rest, each kind in
-    percent of its own number, and the curve is what the chi-squared distribution expects: the
-    covariances are right where the bars follow it. Without truth the curve is scaled to the share
-    of all pairs inside the gate. The axis is logarithmic: an outlier's distance can be anything.
-
-    Args:
-        squared: squared Mahalanobis distances, or a `PairEvidence` that has them; the two
-            directions of a pair count as their maximum.
-        gate: γ², as of `chi2_gate`.
-        dof: degrees of freedom, d: 3 in SE(2), 6 in SE(3).
-        is_true: which measurements are true, where that is known.
-        ax: matplotlib axes to draw into; None makes a figure.
-
-    Returns:
-        The axes.
-
-    Raises:
-        InputError: `squared` is not square, the gate is not above 0, or a mask of another length.
-    """
-    values = _checked_distances(squared, gate)
-    true = None if is_true is None else as_mask(is_true, "is_true", len(values))
-    u, v = np.triu_indices(len(values), 1)
-    pairs = np.maximum(np.maximum(values[u, v], values[v, u]), np.finfo(float).tiny)
-    if true is None:
-        kinds, share = {"pairs": np.ones(len(pairs), bool)}, 100.0 * float(np.mean(pairs <= gate))
-    else:
-        right = true[u] & true[v]
-        kinds, share = {"two true": right, "one or both false": ~right}, 100.0
-    ax = axes_or_new(ax, (5.8, 4.2))
-    low = min(-2.0, np.log10(gate) - 2.0)
-    edges = np.arange(low, max(np.log10(pairs.max(initial=gate)), low + 4.0) + _BIN, _BIN)
-    for (name, rows), looks in zip(kinds.items(), _HISTOGRAMS, strict=False):
-        counts, _ = np.histogram(np.clip(np.log10(pairs[rows]), edges[0], edges[-1]), edges)
-        percent = 100.0 * counts / max(rows.sum(), 1)
-        ax.stairs(percent, 10.0**edges, label=f"{name} ({rows.sum()})", **looks)
-    _draw_chi2(ax, edges, dof, share)
-    ax.axvline(gate, color=style.RED, linewidth=2.0, label=f"gate γ² = {gate:.4g}")
-    ax.set_xscale("log")
-    ax.set_xlabel("squared distance q², larger direction")
-    ax.set_ylabel("pairs of closures (%)")
-    legend_below(ax, columns=2, offset=-0.2)
-    return ax
-
-
-def _checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
+def checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
+    """The distances as a matrix of one's own to draw from; `InputError` unless they are one."""
     given = squared.comparable if isinstance(squared, PairEvidence) else squared
     values = np.array(given, dtype=float)
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
@@ -176,16 +119,6 @@ def _checked_distances(squared: Any, gate: float) -> Float[np.ndarray, "m m"]:
     if not gate > 0:
         raise InputError(f"gate: {gate} given, expected a number above 0")
     return values
-
-
-def _draw_chi2(ax: Any, edges: Float[np.ndarray, " e"], dof: int, percent: float) -> None:
-    """Draws what chi-squared expects in a bin centred at each place, of so many percent in all."""
-    from scipy.special import gammainc
-
-    at = np.linspace(edges[0], edges[-1], 400)
-    above, below = (gammainc(0.5 * dof, 0.5 * 10.0 ** (at + h * _BIN)) for h in (0.5, -0.5))
-    curve = percent * (above - below)
-    ax.plot(10.0**at, curve, color=style.BLACK, zorder=3.0, label=f"chi-squared, d = {dof}")
 
 
 def _gate_colors() -> Any:
@@ -203,15 +136,28 @@ def _circle(count: int) -> Float[np.ndarray, "c 2"]:
 
 
 def _draw_chords(ax: Any, places: Any, adjacency: Any, inside: Any) -> None:
+    """Every chord, or of thousands some, evenly spaced: the more, the fainter."""
     from matplotlib.collections import LineCollection
 
     u, v = np.nonzero(np.triu(adjacency, 1))
     lit = inside[u] & inside[v]
-    chords = places[np.stack([u, v], axis=-1)]
-    ax.add_collection(LineCollection(list(chords[~lit]), colors=style.GREY, linewidths=0.7))
-    ax.add_collection(
-        LineCollection(list(chords[lit]), colors=style.BLUE, linewidths=1.3, zorder=2.0)
-    )
+    for rows, color, width, order in (
+        (np.flatnonzero(~lit), style.GREY, 0.7, 1.0),
+        (np.flatnonzero(lit), style.BLUE, 1.3, 2.0),
+    ):
+        every = -(-len(rows) // _MOST_CHORDS) or 1
+        shown = rows[::every]
+        faint = style.thinned(len(shown), _PLAIN_CHORDS)
+        label = f"agree (one in {every} of {len(rows):,} drawn)" if every > 1 else None
+        chords = LineCollection(
+            list(places[np.stack([u[shown], v[shown]], axis=-1)]),
+            colors=color,
+            linewidths=width * faint,
+            alpha=faint,
+            zorder=order,
+            label=label,
+        )
+        ax.add_collection(chords)
 
 
 def _draw_nodes(ax: Any, places: Any, inside: Any, true: Any) -> None:
@@ -224,16 +170,16 @@ def _draw_nodes(ax: Any, places: Any, inside: Any, true: Any) -> None:
             "other, true": (~inside & true, style.PINK, "^"),
             "other, false": (~inside & ~true, "white", "o"),
         }
-    numbered = len(places) <= _NUMBERED_NODES
+    numbered, small = len(places) <= _NUMBERED_NODES, style.thinned(len(places), _PLAIN_CHORDS)
     for label, (rows, color, marker) in kinds.items():
         if rows.any():
             ax.scatter(
                 *places[rows].T,
-                s=70 if numbered else 28,
+                s=70 if numbered else 28 * small**2,
                 c=color,
                 marker=marker,
                 edgecolors="black",
-                linewidths=0.7,
+                linewidths=0.7 * small,
                 zorder=3.0,
                 label=f"{label} ({rows.sum()})",
             )

@@ -39,13 +39,21 @@ class LineStyle(NamedTuple):
     zorder: float  # maps are drawn at 2 to 3
 
 
-# As in the paper's Fig. 5: bold blue, red, pink, dotted grey.
+# As in the paper's Fig. 5: bold blue, red, pink, dotted grey. Before any choice: thin and grey.
+CANDIDATE = LineStyle("candidates", GREY, "-", 0.8, "", 1.0)
+CANDIDATE_TRUE = LineStyle("true candidates", PINK, "-", 1.2, "^", 4.5)
+CANDIDATE_FALSE = LineStyle("false candidates", GREY, ":", 0.8, "", 1.0)
 ACCEPTED = LineStyle("accepted", BLUE, "-", 2.2, "o", 5.0)
 ACCEPTED_TRUE = LineStyle("accepted, true", BLUE, "-", 2.2, "o", 5.0)
 ACCEPTED_FALSE = LineStyle("accepted, false", RED, "--", 1.2, "X", 1.8)
 LOST = LineStyle("rejected, true", PINK, "-", 1.8, "^", 4.5)
 REJECTED = LineStyle("rejected", GREY, ":", 0.8, "", 1.0)
 REJECTED_FALSE = LineStyle("rejected, false", GREY, ":", 0.8, "", 1.0)
+
+
+def thinned(count: int, plain: int) -> float:
+    """The width and opacity of one among many marks: 1 up to `plain`, with 1/√count beyond."""
+    return min(1.0, (plain / max(count, 1)) ** 0.5)
 
 
 def robot_style(index: int, count: int) -> dict[str, Any]:
@@ -83,7 +91,7 @@ def legend_below(ax: Any, columns: int = 3, offset: float = -0.13) -> None:
     """A legend outside the axes, where it hides nothing; none where nothing has a label."""
     if not ax.get_legend_handles_labels()[0]:
         return
-    ax.legend(
+    legend = ax.legend(
         loc="upper center",
         bbox_to_anchor=(0.5, offset),
         ncols=columns,
@@ -91,3 +99,15 @@ def legend_below(ax: Any, columns: int = 3, offset: float = -0.13) -> None:
         fontsize="medium",
         handlelength=2.6,
     )
+    shown_plainly(legend)
+
+
+def shown_plainly(legend: Any) -> None:
+    """Draws a legend's lines at a width and opacity at which they are seen, however thin below."""
+    from matplotlib.lines import Line2D
+
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D):
+            handle.set_alpha(1.0)
+            handle.set_linewidth(max(handle.get_linewidth(), 0.8))
+            handle.set_markersize(max(handle.get_markersize(), 4.0))

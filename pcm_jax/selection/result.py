@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from pcm_jax.consistency import (
 )
 from pcm_jax.graph import PoseGraph
 from pcm_jax.selection.method import Choice
+from pcm_jax.tables import NOTHING, ShownAsTable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,6 +72,25 @@ class PairSelection:
             f"  verdict   {why}"
         )
 
+    def row(self, names: Sequence[str]) -> tuple[object, ...]:
+        """The decision as a row of a table.
+
+        Args:
+            names: the robots'.
+        """
+        verdict = self.verdict
+        chance = verdict.chance if verdict else None
+        proof = {None: NOTHING, True: "proven", False: "not proven"}
+        return (
+            f"{names[self.robot_a]} – {names[self.robot_b]}",
+            len(self.accepted),
+            int(self.accepted.sum()),
+            verdict.places if verdict and verdict.places is not None else NOTHING,
+            f"{chance.p_value:.2g}" if chance else NOTHING,
+            proof[self.optimal],
+            verdict.why if verdict else NOTHING,
+        )
+
     @property
     def robot_a(self) -> int:
         """The index of the robot with the smaller index."""
@@ -101,7 +122,7 @@ class PairSelection:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Selection:
+class Selection(ShownAsTable):
     """The closures of a graph to believe.
 
     Attributes:
@@ -138,6 +159,11 @@ class Selection:
             f"  pairs   {', '.join(told) or 'none'}\n"
             f"  method  {self.method}, confidence {self.confidence:g}, gate {self.gate:.4g}"
         )
+
+    def _table(self) -> tuple[Sequence[str], Iterable[Sequence[object]]]:
+        names = self.evidence.graph.names
+        heads = ("robots", "measured", "accepted", "places", "chance p", "largest set", "why")
+        return heads, (pair.row(names) for pair in self.pairs)
 
     @property
     def maps(self) -> tuple[PoseGraph, ...]:

@@ -11,7 +11,10 @@ import pytest
 
 from benchmarks import city
 from benchmarks.experiments import city_report, table_one
-from benchmarks.experiments.cities import (
+from benchmarks.experiments.command import run_tasks
+from pcm_jax import InputError, MultiRobotGraph, lie, merge, select
+from pcm_jax.evaluation.metrics import ate_rmse
+from pcm_jax.experiments.cities import (
     Law,
     city_of_file,
     simulated_city,
@@ -19,9 +22,6 @@ from benchmarks.experiments.cities import (
     version_of,
     weakened,
 )
-from benchmarks.experiments.command import run_tasks
-from pcm_jax import InputError, MultiRobotGraph, lie, merge, select
-from pcm_jax.evaluation.metrics import ate_rmse
 from pcm_jax.store import Store, digest
 
 pytestmark = pytest.mark.slow

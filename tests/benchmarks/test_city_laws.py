@@ -7,7 +7,7 @@ import json
 import pytest
 
 from benchmarks import city, city_laws
-from benchmarks.experiments.cities import Law
+from pcm_jax.experiments.cities import Law
 
 
 @pytest.fixture

@@ -17,26 +17,27 @@ from benchmarks.experiments.real_candidate_report import pooled
 from benchmarks.place_recognition import ALL_METHODS, Arm
 from pcm_jax import InputError, lie, select_within
 from pcm_jax.evaluation import ate_rmse
+from pcm_jax.experiments import drives
 
 FEW = {name: ALL_METHODS[name] for name in ("no-outliers", "pcm-exact-99", "everything")}
 
 
 def test_truth_and_labels_of_both_collections(square_walk_files):
-    assert real.found(square_walk_files) == [RRR, KITTI]
+    assert drives.found(square_walk_files) == [RRR, KITTI]
     right = [False] * len(STEPS) + [True] * len(RIGHT) + [False] * len(FALSE)
     for name in (RRR, KITTI):
-        candidates = real.load(square_walk_files, name)
+        candidates = drives.load(square_walk_files, name)
         np.testing.assert_allclose(
             lie.translation(candidates.truth), square_walk()[:, :2], atol=1e-6
         )
         assert candidates.is_true.tolist() == right
         assert candidates.listed == (name == KITTI)
-    nearer = real.within_tolerance(candidates.graph, candidates.truth, (0.03, 10.0))
+    nearer = drives.within_tolerance(candidates.graph, candidates.truth, (0.03, 10.0))
     assert 0 < nearer.sum() < len(RIGHT)
 
 
 def test_the_noise_of_honest_information(square_walk_files):
-    candidates = real.load(square_walk_files, KITTI)
+    candidates = drives.load(square_walk_files, KITTI)
     noise: Any = real.noise(candidates, select_within(candidates.graph))
     assert noise["steps_against_truth_mean"] == pytest.approx(1.0, abs=0.15)
     assert noise["right_against_truth_mean"] == pytest.approx(1.0, abs=0.4)
@@ -48,7 +49,7 @@ def test_the_noise_of_honest_information(square_walk_files):
 
 
 def test_factors_find_a_factor(square_walk_files):
-    candidates = real.load(square_walk_files, KITTI)
+    candidates = drives.load(square_walk_files, KITTI)
     found = []
     for factor in (1.0, 0.5):
         graph = real.rescaled(candidates.graph, real.Factors(factor, factor))
@@ -59,7 +60,7 @@ def test_factors_find_a_factor(square_walk_files):
 
 
 def test_lever_arm_of_a_truth_that_is_of_another_point(square_walk_files):
-    candidates = real.load(square_walk_files, KITTI)
+    candidates = drives.load(square_walk_files, KITTI)
     shift: Any = np.array([-2.0, 0.5, 0.0])
     offset = lie.exp(lie.group_of(candidates.truth), shift)
     moved = candidates._replace(truth=lie.compose(candidates.truth, offset))
@@ -127,7 +128,7 @@ def test_rates_are_pooled_and_errors_are_of_what_was_merged():
 
 
 def test_sessions_start_at_their_own_origin(square_walk_files):
-    candidates = real.load(square_walk_files, KITTI)
+    candidates = drives.load(square_walk_files, KITTI)
     graph = place_recognition.sessions(candidates.graph, 90, "cleaned")
     for one in graph.maps:
         assert lie.parameters(lie.as_numpy(one.poses))[0].tolist() == [1.0, 0.0, 0.0, 0.0]
@@ -137,7 +138,7 @@ def test_sessions_start_at_their_own_origin(square_walk_files):
 
 def test_what_is_not_there(square_walk_files, tmp_path, capsys):
     with pytest.raises(InputError, match=r"name: 'none', expected one of Walk_0.300, kitti_99"):
-        real.load(square_walk_files, "none")
+        drives.load(square_walk_files, "none")
     with pytest.raises(SystemExit, match="2"):
         place_recognition.main(["--data", str(tmp_path), "--out", str(tmp_path / "out")])
     assert "has no kitti_robust or rrr" in capsys.readouterr().err
@@ -149,7 +150,7 @@ def test_what_is_not_there(square_walk_files, tmp_path, capsys):
 
 
 def test_the_strictest_real_candidates(shared_data):
-    candidates = real.load(shared_data, "kitti_00_alpha_1.00")
+    candidates = drives.load(shared_data, "kitti_00_alpha_1.00")
     selection = select_within(candidates.graph)
     noise: Any = real.noise(candidates, selection)
     assert (noise["candidates"], noise["right"], noise["false_stored_as_identity"]) == (
@@ -164,12 +165,12 @@ def test_the_strictest_real_candidates(shared_data):
     assert selection.accepted.tolist() == right.tolist()
     figures = place_recognition._trajectory(candidates, selection.kept, 0.0)
     assert figures["ate_rmse"] < 2.5
-    odometry = real.chained(candidates.graph)
+    odometry = drives.chained(candidates.graph)
     assert ate_rmse(odometry, candidates.truth, align="umeyama") > 20.0
 
 
 def test_the_strictest_real_registrations(shared_data):
-    candidates = real.load(shared_data, "B25b_1.000")
+    candidates = drives.load(shared_data, "B25b_1.000")
     assert candidates.graph.num_poses == 8_358
-    assert candidates.is_true.sum() == (~real.steps(candidates.graph)).sum() == 23
+    assert candidates.is_true.sum() == (~drives.steps(candidates.graph)).sum() == 23
     assert select_within(candidates.graph).accepted.all()

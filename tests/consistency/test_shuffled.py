@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from pcm_jax import MultiRobotGraph, chi2_gate, consistency_graph, lie, squared_mahalanobis, weigh
+from pcm_jax.consistency import shuffled
+from pcm_jax.lie import unrolled
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 WORLDS = {"SE2": simulate_city, "SE3": simulate_sessions}
@@ -57,7 +59,10 @@ def dense(pairs):
     return squared + squared.T
 
 
-def test_weighs_what_q_of_shuffled_closures_weighs(pair, order):
+@pytest.mark.parametrize("share", [2.0, 0.0], ids=["some pairs", "all pairs, compiled"])
+def test_weighs_what_q_of_shuffled_closures_weighs(pair, order, share, monkeypatch):
+    monkeypatch.setattr(shuffled, "DENSE", share)
+    monkeypatch.setenv("PCM_JAX_COMPILE", "always")
     gate = gate_of(pair)
     found = pair.shuffles(gate).weigh(order)
     edges = 0
@@ -75,7 +80,10 @@ def test_the_given_order_is_the_evidence_itself(pair):
     np.testing.assert_array_equal(found > 0, pair.consistent(gate_of(pair)))
 
 
-def test_only_pairs_of_interest_are_joined(pair, order):
+@pytest.mark.parametrize("share", [2.0, 0.0], ids=["some pairs", "all pairs, compiled"])
+def test_only_pairs_of_interest_are_joined(pair, order, share, monkeypatch):
+    monkeypatch.setattr(shuffled, "DENSE", share)
+    monkeypatch.setenv("PCM_JAX_COMPILE", "always")
     joined = np.random.default_rng(1).uniform(size=(COUNT, COUNT)) < 0.5
     joined |= joined.T
     every = pair.shuffles(gate_of(pair)).weigh(order[:1])
@@ -133,3 +141,12 @@ def test_closures_that_are_not_finite_agree_with_nothing(pair):
     found = broken.shuffles(gate_of(pair)).weigh(np.arange(COUNT)[None])
     assert not ((found.u == 4) | (found.v == 4)).any()
     assert len(found.u)
+
+
+def test_largest_eigenvalues_are_numpys(pair):
+    random = np.random.default_rng(0).normal(size=(200, 3, 3))
+    matrices = random @ random.swapaxes(1, 2)
+    matrices[:3] = np.eye(3), np.zeros((3, 3)), np.diag([2.0, 2.0, 1.0])
+    row, column = np.transpose(unrolled.packed_indices(3))
+    found = shuffled._largest_eigenvalue(list(matrices[:, row, column].T))
+    np.testing.assert_allclose(found, np.linalg.eigvalsh(matrices)[:, -1], atol=1e-9)

@@ -1,5 +1,8 @@
 """A format of a user's own: a few lines outside the package."""
 
+import subprocess
+import sys
+
 import jaxlie
 import numpy as np
 import pytest
@@ -87,3 +90,11 @@ def test_formats_command(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:4] == ["format", "holds", "read", "written"]
     assert {one.name for one in formats()} == {line.split()[0] for line in lines[1:]}
+
+
+def test_formats_command_imports_no_reader():
+    code = (
+        "import sys; from pcm_jax.cli import main; status = main(['formats']);"
+        "sys.exit(status or int('jax' in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -297,10 +297,10 @@ def test_planted_mistakes_are_measured(turned):
     assert turn.worst_conflict.rotation == pytest.approx(30.0)
     names = ("b", "a") if turned else ("a", "b")
     assert off.sentence.startswith(
-        f"Closure 3 ({names[0]}20 to {names[1]}20) was dropped: it agrees with 0 of the 4 accepted "
-        "ones; with closure "
+        f"Closure 3 ({names[0]}20 to {names[1]}20) was rejected: it agrees with 0 of the 4 "
+        "accepted ones; the loop that it makes with closure "
     )
-    assert "its loop misses by 5 m (sigma " in off.sentence
+    assert " misses by 5 m (sigma " in off.sentence
     # exactly right but for itself, so what is left in the merged map is its mistake
     residual = off.fit.by_axis
     assert np.hypot(residual["x"], residual["y"]) == pytest.approx(5.0, rel=1e-6)
@@ -372,7 +372,7 @@ def test_robust_methods_tell_their_scales():
         if robust.accepted[index]:
             assert f"was kept by gnc with {100 * share:.0f} % of its information" in sentence
         elif not robust.robust.accepted[index]:
-            assert "was turned down by gnc to 0 % of its information" in sentence
+            assert "was rejected: gnc turned it down to 0 % of its information" in sentence
     assert robust.accepted.any() and not robust.robust.accepted.all()
 
 
@@ -403,7 +403,7 @@ def test_a_set_that_was_refused():
         assert (one.agrees_with, one.of, one.among) == (2, 2, "found")
         assert one.fit is None
         assert (
-            "was dropped with all that were found between a and b, which were refused: 3 of 3"
+            "was rejected with all that were found between a and b, which were refused: 3 of 3"
             in (one.sentence)
         )
     few = merge(result.selection.evidence, minimum_inliers=9)

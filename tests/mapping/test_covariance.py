@@ -1,6 +1,7 @@
 """Covariances of a map against the dense inverse, the gauge, GTSAM and Monte Carlo."""
 
 import pickle
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import jaxlie
@@ -276,3 +277,28 @@ def test_a_singular_map_is_named():
 def test_bad_indices(make_map, poses, message):
     with pytest.raises(InputError, match=message):
         joint_marginal_covariance(make_map(), poses)
+
+
+@pytest.mark.parametrize(("orders", "told"), [(0, False), (8, False), (18, True)])
+def test_digits_that_rounding_takes_are_told(orders, told):
+    """A chain of steps along x, every other one as many orders surer: headings' Σ is known."""
+    sigma = np.where(np.arange(20) % 2, 10.0 ** (-0.5 * orders), 1.0)
+    steps = np.tile(np.eye(3), (20, 1, 1))
+    graph = PoseGraph.from_arrays(
+        tail=np.arange(20),
+        head=np.arange(1, 21),
+        measurement=steps,
+        covariance=np.eye(3) * (sigma**2)[:, None, None],
+    )
+    covariance = MapCovariance(graph)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = covariance.joint(np.arange(1, 21)).reshape(20, 3, 20, 3)[:, 2, :, 2]
+    known = np.cumsum(sigma**2)[np.minimum.outer(np.arange(20), np.arange(20))]
+    error = np.abs(found / known - 1.0).max()
+    assert bool(caught) == told
+    if told:
+        assert "covariances are right to about" in str(caught[0].message)
+        assert error > 1e-6
+    else:
+        assert error < 1e-6

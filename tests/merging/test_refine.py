@@ -15,8 +15,8 @@ from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import refine as refining
-from pcm_jax.merging._recall import ROUNDS, squared_by_leaving
 from pcm_jax.merging.joint import joint_graph
+from pcm_jax.merging.recall import ROUNDS, squared_by_leaving
 from pcm_jax.merging.robust.solve import Turns
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import simulate_city, simulate_sessions
@@ -150,17 +150,17 @@ def test_false_closures_let_in_no_further_ones():
 
 
 def test_of_two_that_contradict_each_other_one_comes_back():
-    graph = two_lines([0.0, 0.0, 0.0, 3.3, -3.3])
+    graph = two_lines([1.0, -1.0, 0.0, 3.3, -3.3])
     result = merge(graph, accepted=first(3, 5), refine="recall")
     assert result.accepted[:3].all()
     assert result.accepted[3:].sum() == 1
-    alone = merge(two_lines([0.0, 0.0, 0.0, -3.3]), accepted=first(3, 4), refine="recall")
+    alone = merge(two_lines([1.0, -1.0, 0.0, -3.3]), accepted=first(3, 4), refine="recall")
     assert alone.recalled.any()
 
 
 def test_the_set_keeps_the_joint_test():
     """Each of 24 is within the gate, to both sides; all together they are not."""
-    offsets = [0.0] * 6 + [2.8, -2.8] * 12
+    offsets = [1.0, -1.0] * 3 + [2.8, -2.8] * 12
     graph = two_lines(offsets)
     accepted = first(6, len(offsets))
     result = merge(graph, accepted=accepted, refine="recall")
@@ -168,6 +168,13 @@ def test_the_set_keeps_the_joint_test():
     assert result.refinement.joint.p >= 0.01
     everything = merge(graph, accepted=np.ones(len(offsets), bool), refine="recall")
     assert everything.refinement.joint.p < 0.01
+
+
+def test_errors_stated_too_large_let_in_no_more():
+    """Accepted ones are off by 0.2 m of the 1 m that they state: what is 1.5 m off stays out."""
+    offsets = [0.2, -0.2] * 6 + [1.5, 0.4]
+    result = merge(two_lines(offsets), accepted=first(12, 14), refine="recall")
+    np.testing.assert_array_equal(np.flatnonzero(result.recalled), [13])
 
 
 def test_a_set_that_fails_the_joint_test_may_stay_as_it_is_but_not_get_worse():

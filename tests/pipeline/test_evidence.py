@@ -7,7 +7,7 @@ import pytest
 
 from pcm_jax import lie
 from pcm_jax.consistency import PairEvidence, chi2_gate
-from pcm_jax.errors import InputError
+from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.experiments import Method, compare_methods
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import covariance, optimize
@@ -189,3 +189,18 @@ def test_objects_say_what_they_are(evidence):
         assert len(repr(one).splitlines()) == 3
     assert "3 maps" in repr(evidence)
     assert PairEvidence.from_squared(np.zeros((2, 2))).squared.shape == (2, 2)
+
+
+def test_maps_that_are_not_at_their_optimum_are_told(world):
+    """A loop that is not followed yet leaves a map where odometry has it."""
+    first, *rest = world.graph.maps
+    chain = first.with_edges(np.arange(first.num_poses - 1))
+    unsolved = first.with_poses(optimize(chain).graph.poses)
+    graph = MultiRobotGraph(
+        (unsolved, *(optimize(one).graph for one in rest)), world.graph.closures
+    )
+    with pytest.warns(
+        InputWarning, match="optimized: map 'a' is not at its optimum, a step changes"
+    ):
+        weigh(graph, optimized=True)
+    weigh(MultiRobotGraph((optimize(first).graph, *graph.maps[1:]), graph.closures), optimized=True)

@@ -80,7 +80,19 @@ def test_false_closures_are_rejected_however_many_agree(clean, dirty, selection)
     assert not selection.kept[~right].any()
     assert selection.kept[right].mean() > 0.95
     assert selection.optimal
-    assert selection.upper_bound == selection.accepted.sum()
+    assert selection.upper_bound == (selection.accepted & ~selection.recalled).sum()
+
+
+def test_what_the_largest_set_leaves_out_comes_back(dirty, selection):
+    graph, right = dirty
+    largest = select_within(graph, recall=False)
+    assert not largest.recalled.any()
+    np.testing.assert_array_equal(selection.accepted, largest.accepted | selection.recalled)
+    assert selection.recalled.any()
+    assert right[selection.closures[selection.recalled]].all()
+    assert "recall" in repr(selection)
+    with pytest.raises(InputError, match="recall: 1, expected True, False or None"):
+        select_within(graph, recall=1)  # type: ignore[arg-type]
 
 
 def test_without_odometrys_word_the_largest_group_wins(dirty):
@@ -105,8 +117,9 @@ def test_the_parts_fit_together(selection):
     assert selection.gate == float(chi2_gate(0.99, 3))
     own = np.flatnonzero(selection.own_squared <= selection.gate)
     chosen = select_from(selection.squared[np.ix_(own, own)], selection.gate)
-    np.testing.assert_array_equal(np.flatnonzero(selection.accepted), own[chosen])
-    assert list(selection.seconds) == ["consistency", "clique", "chance"]
+    largest = selection.accepted & ~selection.recalled
+    np.testing.assert_array_equal(np.flatnonzero(largest), own[chosen])
+    assert list(selection.seconds) == ["consistency", "clique", "chance", "recall"]
     assert all(seconds > 0 for seconds in selection.seconds.values())
 
 
@@ -125,7 +138,7 @@ def test_the_cleaned_map(dirty, selection):
 
 
 def test_too_few_inliers_are_none(dirty, selection):
-    size = int(selection.accepted.sum())
+    size = selection.upper_bound
     assert select_within(dirty[0], minimum_inliers=size).accepted.sum() == size
     strict = select_within(dirty[0], minimum_inliers=size + 1)
     assert not strict.accepted.any()
@@ -171,8 +184,10 @@ def test_cleaning_all_maps(dirty, odometry_alone, selection):
     graph, selections = clean_maps(graph, minimum_inliers=3)
     assert graph.maps[1] is odometry_alone
     assert selections[1] is None
-    np.testing.assert_array_equal(selections[0].kept, selection.kept)
-    assert [one.num_edges for one in graph.maps] == [selection.kept.sum(), POSES - 1]
+    largest = selection.kept.copy()
+    largest[selection.closures[selection.recalled]] = False
+    np.testing.assert_array_equal(selections[0].kept, largest)
+    assert [one.num_edges for one in graph.maps] == [largest.sum(), POSES - 1]
 
 
 def test_a_broken_chain_is_named_before_any_work(dirty, monkeypatch):

@@ -71,7 +71,7 @@ def test_robots_differ_in_more_than_colour():
 
 def test_closures_join_their_poses(city):
     ax = plots.plot_trajectories_with_closures(city.graph.maps, city.graph.closures)
-    ends = segments(line(ax, "accepted"))
+    ends = segments(line(ax, "candidates"))
     closures, maps = city.graph.closures, city.graph.maps
     for k in (0, 7, len(closures) - 1):
         for end, robot, pose in (
@@ -106,6 +106,39 @@ def test_known_truth_is_told_by_colour_dash_and_marker(city):
     assert kinds[0].get_linewidth() == max(kind.get_linewidth() for kind in kinds)
 
 
+def test_candidates_are_not_drawn_as_accepted_before_a_choice(city):
+    drawn = {"maps": city.truth, "closures": city.graph.closures}
+    plain = plots.plot_trajectories_with_closures(**drawn)
+    assert legend_of(plain)[-1] == "candidates (23)"
+    assert line(plain, "candidates").get_color() == plot_style.GREY
+    labelled = plots.plot_trajectories_with_closures(**drawn, is_true=city.is_true)
+    assert legend_of(labelled)[-2:] == ["false candidates (17)", "true candidates (6)"]
+    for ax in (plain, labelled):
+        assert not any("accepted" in text for text in legend_of(ax))
+        assert plot_style.BLUE not in [drawn.get_color() for drawn in ax.get_lines()]
+
+
+def test_thousands_of_closures_hide_neither_maps_nor_the_accepted(city):
+    """As thin lines, the rejected ones faint and below the maps; their legend is seen."""
+    many = np.arange(23).repeat(100)
+    closures, true = city.graph.closures[many], city.is_true[many]
+    few, ax = (
+        plots.plot_trajectories_with_closures(city.truth, own, accepted=mask)
+        for own, mask in ((city.graph.closures, city.is_true), (closures, true))
+    )
+    for kind in ("accepted", "rejected"):
+        assert line(ax, kind).get_linewidth() < 0.4 * line(few, kind).get_linewidth()
+    assert line(ax, "accepted").get_markersize() < 2.0
+    assert line(ax, "accepted").get_alpha() == 1.0
+    assert line(ax, "rejected").get_alpha() < 0.6
+    robots = [line(ax, f"robot {name}").get_zorder() for name in "ab"]
+    assert line(ax, "rejected").get_zorder() < min(robots)
+    assert line(ax, "accepted").get_zorder() > max(robots)
+    handles = ax.get_legend().legend_handles
+    assert min(handle.get_linewidth() for handle in handles) >= 0.8
+    assert {handle.get_alpha() for handle in handles} == {1.0}
+
+
 def test_without_truth_closures_are_accepted_or_rejected(city):
     ax = plots.plot_trajectories_with_closures(
         city.truth, city.graph.closures, accepted=city.is_true
@@ -119,9 +152,35 @@ def test_maps_in_space_are_seen_from_above_unless_asked_otherwise(sessions):
     truth = lie.parameters(sessions.truth[0])
     above = plots.plot_trajectories_with_closures(sessions.truth)
     assert np.array_equal(line(above, "robot a").get_ydata(), truth[:, 5])
+    assert above.get_title("right") == "plane x–y, seen along z"
     side = plots.plot_trajectories_with_closures(sessions.truth, projection="xz")
     assert np.array_equal(line(side, "robot a").get_ydata(), truth[:, 6])
     assert side.get_ylabel() == "z (m)"
+    assert side.get_title("right") == "plane x–z, seen along y"
+
+
+def test_maps_whose_y_points_down_are_seen_from_above(sessions):
+    """A camera's: z ahead, y down. The plane is that of the two greatest extents."""
+    turned = lie.exp(lie.group_of(sessions.truth[0]), np.array([0, 0, 0, np.pi / 2, 0, 0]))
+    maps = [lie.compose(turned, truth) for truth in sessions.truth]
+    ax = plots.plot_trajectories_with_closures(maps)
+    assert ax.get_ylabel() == "z (m)"
+    assert np.allclose(line(ax, "robot a").get_ydata(), lie.parameters(maps[0])[:, 6])
+    axes = plots.plot_comparison({"truth": (maps, None), "again": (maps, None)}, None)
+    assert [ax.get_xlabel() for ax in axes] == ["x (m)"] * 2
+    assert axes[0].get_ylabel() == "z (m)"
+    assert np.ptp(axes[0].get_ylim()) > np.ptp(lie.parameters(maps[0])[:, 6])
+
+
+def test_a_merge_in_space_offers_other_planes(sessions):
+    result = SimpleNamespace(
+        graph=sessions.graph, candidates=sessions.graph.closures, accepted=sessions.is_true
+    )
+    ax = plots.plot_merge(result, projection="yz")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("y (m)", "z (m)")
+    assert "closures accepted" in ax.get_title("left")
+    with pytest.raises(InputError, match="projection"):
+        plots.plot_merge(result, projection="xw")
 
 
 def test_a_plane_has_no_third_axis(city):
@@ -173,6 +232,8 @@ def test_groups_that_nothing_connects_have_panels_of_their_own():
     assert ax is panels[0]
     assert legend_of(panels[0]) == ["robot a", "robot b", "accepted (1)"]
     assert legend_of(panels[1]) == ["robot c"]
+    colors = [line(panel, "robot").get_color() for panel in (panels[1],)]
+    assert colors == [plot_style.robot_style(2, 3)["color"]]  # its own, in every panel
     assert "2 groups, each in a frame of its own" in ax.figure.get_suptitle()
     assert "1 of 2 closures accepted" in ax.figure.get_suptitle()
 
@@ -302,46 +363,29 @@ def test_large_and_empty_graphs_are_drawn_without_numbers():
         assert not ax.texts
 
 
+def test_of_many_thousands_of_pairs_some_are_drawn():
+    graph = ~np.eye(200, dtype=bool)
+    ax = plots.plot_consistency_graph(graph, np.arange(200) < 20)
+    chords = [c for c in ax.collections if hasattr(c, "get_segments")]
+    drawn = {to_hex(c.get_colors()[0])[:7].upper(): len(c.get_segments()) for c in chords}
+    assert drawn == {plot_style.GREY: 1408, plot_style.BLUE: 190}  # every 14th of 19,710
+    assert "agree (one in 14 of 19,710 drawn)" in legend_of(ax)
+
+
+@pytest.mark.parametrize(("count", "shape"), [(3, (1, 3)), (4, (2, 2)), (5, (3, 2))])
+def test_four_or_five_panels_stand_two_abreast(city, count, shape):
+    """A phone shows no more; they name the axis at the left of each row."""
+    panels = {str(k): (city.truth, None) for k in range(count)}
+    axes = plots.plot_comparison(panels, city.graph.closures)
+    grid = axes[0].get_gridspec()
+    assert (grid.nrows, grid.ncols) == shape
+    assert [bool(ax.get_ylabel()) for ax in axes] == [k % shape[1] == 0 for k in range(count)]
+
+
 @pytest.mark.parametrize("wrong", [{"members": np.ones(2, bool)}, {"is_true": np.ones(4, bool)}])
 def test_a_graph_refuses_masks_of_another_length(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         plots.plot_consistency_graph(np.zeros((3, 3), bool), **wrong)
-
-
-def test_the_gate_is_drawn_beside_what_right_pairs_should_have():
-    generator = np.random.default_rng(0)
-    squared = np.triu(generator.chisquare(3, (40, 40)), 1)
-    inliers = np.arange(40) < 30
-    squared[:, ~inliers] *= 1e5
-    squared += squared.T
-    ax = plots.plot_gate(squared, 11.34, dof=3, is_true=inliers)
-    assert {"two true (435)", "one or both false (345)"} < set(legend_of(ax))
-    for bars in ax.patches:
-        assert bars.get_data().values.sum() == pytest.approx(100.0)
-    right, wrong = (bars.get_data() for bars in ax.patches)
-    assert (
-        right.edges[1:][right.values > 0].max() < 100.0 < wrong.edges[:-1][wrong.values > 0].min()
-    )
-    x, y = line(ax, "chi-squared, d = 3").get_data()
-    step = np.log10(x[1] / x[0])
-    assert y.sum() * step / 0.25 == pytest.approx(100.0, rel=0.01)  # bins of 0.25 decades
-    at = np.log10(right.edges[:-1]) + 0.125
-    assert np.abs(np.interp(at, np.log10(x), y) - right.values).max() < 5.0
-    assert line(ax, "gate γ² = 11.34").get_xdata()[0] == 11.34
-    assert ax.get_xscale() == "log"
-
-
-def test_the_gate_without_truth_counts_larger_directions():
-    squared = np.array([[0.0, 1.0, 0.0], [50.0, 0.0, 2.0], [0.0, 2.0, 0.0]])
-    ax = plots.plot_gate(squared, 10.0, dof=1)
-    (bars,) = ax.patches
-    assert "pairs (3)" in legend_of(ax)
-    values, edges, _ = bars.get_data()
-    assert values[edges[:-1] > 10.0].sum() == pytest.approx(100.0 / 3.0)
-    with pytest.raises(InputError, match="is_true"):
-        plots.plot_gate(squared, 10.0, dof=1, is_true=np.ones(2, bool))
-    with pytest.raises(InputError, match="squared"):
-        plots.plot_gate(np.ones((2, 3)), 10.0, dof=1)
 
 
 def test_matplotlib_is_not_loaded_until_something_is_drawn():

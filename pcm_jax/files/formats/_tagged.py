@@ -142,7 +142,7 @@ def _read_tag(tag: Tag, rows: Rows) -> Lines:
     values = rows.floats(tag.start, tag.start + len(COLUMNS[tag.coordinates]))
     d = 3 if tag.coordinates == "angle" else 6
     return Lines(
-        ids=rows.integers(1, 1 + tag.ids),
+        ids=rows.ids(1, 1 + tag.ids),
         transforms=coordinates.parameters(tag.coordinates, values, rows.fault),
         information=np.zeros((len(rows), d, d)),
         line=rows.line,

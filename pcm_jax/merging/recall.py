@@ -11,8 +11,14 @@ covariance of its two poses there, and P = J Σ Jᵀ,
 the same number of one edge to first order, chi-squared with d degrees of freedom if it is right.
 
 Rounds: all that may come back and pass the gate, come back, and the map is solved again, until
-nothing changes, at most `ROUNDS` times. Three conditions keep false ones from letting in more:
+nothing changes, at most `ROUNDS` times. Four conditions keep false ones from letting in more:
 
+    scale       where the accepted edges fit far better than they state, the gate is as much
+                narrower: stated errors three times too large would else let in what is off by nine
+                true ones. With S the sum of the χ² of n accepted edges, each in the map of all the
+                others, S / F⁻¹(1 − confidence) of n d degrees of freedom is the largest scale that
+                `confidence` leaves; it counts below `OVERSTATED`, since what passed a gate fits a
+                little too well by that alone.
     first map   the χ² of what comes back, in the map of the accepted set alone, is one that the
                 largest of m right ones has: below the gate of confidence 1 − (1 − confidence)/m, m
                 the edges that may come back. So a map that is bent bit by bit leads nowhere.
@@ -47,6 +53,8 @@ from pcm_jax.merging.refinement import JointTest
 ROUNDS = 20
 PANEL = 64
 """Edges whose poses' joint covariance is formed at once; of larger panels most is not used."""
+OVERSTATED = 0.7
+"""Scale of the accepted edges' χ² below which their stated errors are taken to be too large."""
 STEPS = 30
 """Evaluations of a round's solve, which begins at the round before."""
 
@@ -75,6 +83,7 @@ def recall(
     eligible: Bool[np.ndarray, " e"],
     joint: JointTest,
     *,
+    accepted: Bool[np.ndarray, " e"],
     confidence: float,
     engine: str = "blocks",
 ) -> Recall:
@@ -85,10 +94,14 @@ def recall(
         used: edges that hold.
         eligible: those that may come back; none of them used.
         joint: of the accepted set.
+        accepted: those of the used edges that are of the same kind as the eligible ones.
         confidence: of the gate, and of the joint test.
         engine: of the solves.
     """
-    return _Rounds(merged, used, eligible, joint, confidence, engine).run()
+    rounds = _Rounds(merged, used, eligible, joint, confidence, engine)
+    if eligible.any():
+        rounds.narrow(np.flatnonzero(accepted & used))
+    return rounds.run()
 
 
 class _State(NamedTuple):
@@ -122,6 +135,17 @@ class _Rounds:
         self.eligible = np.flatnonzero(eligible)
         self.dim, self.solves = merged.tangent_dim, 0
         self.gate = float(chi2_gate(confidence, self.dim))
+        self.scale = 1.0
+
+    def narrow(self, accepted: Int[np.ndarray, " n"]) -> None:
+        """Takes the scale of the accepted edges' errors for that of the eligible ones'."""
+        squared = squared_by_leaving(self.merged, self.used, accepted)
+        squared = squared[np.isfinite(squared)]
+        if len(squared):
+            least = float(chi2_gate(1.0 - self.confidence, self.dim * len(squared)))
+            scale = squared.sum() / least
+            self.scale = scale if scale < OVERSTATED else 1.0
+        self.gate *= self.scale
 
     def run(self) -> Recall:
         nothing = np.zeros(len(self.eligible), bool)
@@ -130,7 +154,7 @@ class _Rounds:
         first = state = self._solved(nothing, self.merged.poses)
         squared = self._squared(state)
         widest = 1.0 - (1.0 - self.confidence) / len(self.eligible)
-        allowed = squared <= float(chi2_gate(widest, self.dim))
+        allowed = squared <= self.scale * float(chi2_gate(widest, self.dim))
         settled = False
         for _ in range(ROUNDS):
             wanted, left = self._wanted(state, squared, allowed)

@@ -55,7 +55,21 @@ def limit(symmetric: unrolled.Matrix, error: unrolled.Vector, free: Sequence[Any
     """
     lower = unrolled.cholesky(symmetric)
     white = unrolled.solve_lower(lower, error)
-    xp = namespace(white[0])
+    outside = outside_of(lower, free)
+    left = unrolled.apply(outside, white)
+    freedom = sum(row[i] for i, row in enumerate(outside))
+    return Limit(unrolled.dot(left, left), namespace(white[0]).round(freedom))
+
+
+def outside_of(lower: unrolled.Matrix, free: Sequence[Any]) -> unrolled.Matrix:
+    """The projector P to what the span of L⁻¹ N leaves: q² = |P L⁻¹ r|².
+
+    Args:
+        lower: L of M = L Lᵀ.
+        free: columns of N; a zero one counts for nothing.
+    """
+    like = lower[0][0]
+    xp = namespace(like)
 
     def without(outside: Any, column: Any) -> Any:
         """The projector to what lies outside the columns so far, and one more of them."""
@@ -71,19 +85,16 @@ def limit(symmetric: unrolled.Matrix, error: unrolled.Vector, free: Sequence[Any
         )
 
     outside = tuple(
-        tuple(xp.full_like(white[0], float(i == j)) for j in range(len(white)))
-        for i in range(len(white))
+        tuple(xp.full_like(like, float(i == j)) for j in range(len(lower)))
+        for i in range(len(lower))
     )
     if xp is np:
         for column in free:
             outside = without(outside, column)
-    else:  # compiled once for all columns
-        like = white[0].shape
-        columns = xp.stack([xp.stack([xp.broadcast_to(x, like) for x in one]) for one in free])
-        outside = jax.lax.scan(lambda p, x: (without(p, x), None), outside, columns)[0]
-    left = unrolled.apply(outside, white)
-    freedom = sum(row[i] for i, row in enumerate(outside))
-    return Limit(unrolled.dot(left, left), xp.round(freedom))
+        return outside
+    shape = like.shape  # compiled once for all columns
+    columns = xp.stack([xp.stack([xp.broadcast_to(x, shape) for x in one]) for one in free])
+    return jax.lax.scan(lambda p, x: (without(p, x), None), outside, columns)[0]
 
 
 def carried(closures: Any) -> Float[Array, "f d m"] | None:

@@ -13,8 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcm_jax import InputError, MultiRobotGraph, PoseGraph, lie, optimize, read_graph, split
+from pcm_jax import lie
 from pcm_jax.arrays import device_array
+from pcm_jax.errors import InputError
+from pcm_jax.files import read_graph
+from pcm_jax.graph import MultiRobotGraph, PoseGraph, split
+from pcm_jax.mapping import optimize
 from pcm_jax.simulation import SimulatedWorld, add_clutter, simulate_city
 
 NOISE = np.diag([0.02**2, 0.02**2, 0.01**2])
@@ -107,6 +111,26 @@ def weakened(city: City, factor: float) -> City:
     maps = tuple(_with_information(one, lambda known: known / factor) for one in city.graph.maps)
     closures = _with_information(city.graph.closures, lambda known: known / factor)
     return city._replace(graph=MultiRobotGraph(maps, closures))
+
+
+def city10000(
+    folder: Path, poses: int = 2_000, information: str = "as-written", *, seed: int = 1
+) -> City:
+    """Cuts the first poses of City10000 in two; without its file, a simulated city as sparse.
+
+        graph, truth = city10000(Path("data/city10000"))
+
+    Args:
+        folder: with `city10000.g2o.xz` and `city10000_groundtruth.isam.txt.xz` in it, or not.
+        poses: of both maps together.
+        information: "as-written" or "sqrt", see `read_graph`.
+        seed: of the simulated city.
+    """
+    data = folder / "city10000.g2o.xz"
+    if not data.is_file():
+        return simulated_city(poses, seed, information)
+    truth = folder / "city10000_groundtruth.isam.txt.xz"
+    return city_of_file(data, truth, slice(poses), information)
 
 
 def city_of_file(data: Path, truth: Path, poses: slice, information: str) -> City:
