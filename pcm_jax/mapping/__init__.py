@@ -13,6 +13,7 @@ Data walks through this folder once:
     priors              measurements of single poses: where they put a map, what they leave free
     certificate         whether no other poses can fit better
     optimization        `optimize`, what users call
+    _odometry           the steps by which a map has grown
     covariance          `MapCovariance` of the poses at the optimum
     implicit            the optimum as a differentiable function of its data
 """

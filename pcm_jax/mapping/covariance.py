@@ -28,6 +28,7 @@ from pcm_jax.arrays import as_array, on_host
 from pcm_jax.errors import InputError, InputWarning, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import apart, edge_products, linearize
+from pcm_jax.mapping._odometry import odometry_steps
 from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, with_frame
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.mapping.priors import held, priors_of
@@ -224,14 +225,8 @@ class MapCovariance:
         Raises:
             InputError: for another map than that: `MapCovariance` then starts anew.
         """
-        before, count = self.pose_graph, pose_graph.num_poses
-        steps = _odometry_steps(before, pose_graph)
+        own = odometry_steps(self.pose_graph, pose_graph, self.origin)
         grown = MapCovariance(pose_graph, origin=self.origin)
-        placed = lie.take(grown._poses, np.arange(before.num_poses, count))
-        values = np.array(lie.parameters(placed))
-        values[:, -len(self.origin) :] -= self.origin
-        adjoint = np.asarray(lie.adjoint(lie.group_of(placed)(values)))
-        own = adjoint @ steps @ adjoint.swapaxes(1, 2)
         start = self._grown[-1] if len(self._grown) else np.zeros((self._dim, self._dim))
         grown._trunk = self._trunk
         grown._grown = np.concatenate([self._grown, start + np.cumsum(own, axis=0)])
@@ -303,25 +298,6 @@ def joint_marginal_covariance(
     """
     check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     return MapCovariance(pose_graph).joint(poses)
-
-
-def _odometry_steps(before: PoseGraph, after: PoseGraph) -> Float[np.ndarray, "g d d"]:
-    """Covariances of the new steps of odometry, each a right perturbation of the pose reached."""
-    old, edges = before.num_poses, slice(before.num_edges, None)
-    tail, head = (np.asarray(end)[edges] for end in (after.tail, after.head))
-    backward = tail > head
-    low, high = np.where(backward, head, tail), np.where(backward, tail, head)
-    if not (np.array_equal(high, np.arange(old, after.num_poses)) and (low == high - 1).all()):
-        raise InputError(
-            f"pose_graph {after.name!r}: expected the {old} poses and {before.num_edges} edges of"
-            " before, and one edge from each pose to the next from there on"
-        )
-    covariance = np.linalg.inv(np.asarray(after.information)[edges])
-    if backward.any():  # X_n = X_(n-1) z⁻¹: an error z exp(δ) moves it by −Ad(z) δ
-        turned = np.asarray(lie.adjoint(lie.take(lie.as_numpy(after.measurement), edges)))
-        carried = turned @ covariance @ turned.swapaxes(1, 2)
-        covariance = np.where(backward[:, None, None], carried, covariance)
-    return covariance
 
 
 def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
