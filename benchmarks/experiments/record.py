@@ -25,7 +25,7 @@ LIBRARY = [
         "merging",
         "pipeline",
     )
-] + [PACKAGE / "simulation", PACKAGE / "experiments" / "comparison.py"]
+] + [PACKAGE / "simulation", PACKAGE / "experiments"]
 """What the results of every comparison of methods depend on."""
 
 Figures = Mapping[str, float]

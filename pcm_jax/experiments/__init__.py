@@ -9,7 +9,26 @@
 Which methods, worlds and gates the paper has is for the benchmarks to say.
 """
 
-from pcm_jax.experiments.comparison import Compared, Method, compare_methods, mean_figures
+from pcm_jax.experiments.comparison import (
+    BEYOND_THE_PAPER,
+    CALIBRATED,
+    PAPER,
+    Compared,
+    Method,
+    called,
+    compare_methods,
+    mean_figures,
+)
 from pcm_jax.experiments.sweep import sweep
 
-__all__ = ["Compared", "Method", "compare_methods", "mean_figures", "sweep"]
+__all__ = [
+    "BEYOND_THE_PAPER",
+    "CALIBRATED",
+    "PAPER",
+    "Compared",
+    "Method",
+    "called",
+    "compare_methods",
+    "mean_figures",
+    "sweep",
+]

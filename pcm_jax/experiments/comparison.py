@@ -81,6 +81,35 @@ BEYOND_THE_PAPER: dict[str, Method] = {
 """What users meet elsewhere. `dcs-true-start` is told the true alignment of the maps."""
 
 
+_CALLED = {
+    "pcm-exact": "PCM",
+    "pcm-heuristic": "PCM-HeuPatt",
+    "ransac": "RANSAC",
+    "scgp": "SCGP",
+    "scgp-binary": "SCGP, binary",
+    "dcs": "DCS",
+    "dcs-true-start": "DCS, true start",
+    "gnc": "GNC",
+    "clipper": "CLIPPER",
+    "combinatorial": "enumeration",
+    "no-outliers": "no outliers",
+}
+
+
+def called(label: str) -> str:
+    """A method's name as people write it, of the label of a row, its gate in percent behind.
+
+        called("pcm-exact-11")  # "PCM, 11 %"
+
+    Args:
+        label: such as those of `PAPER`; one that is not known stays.
+    """
+    name, _, percent = label.rpartition("-")
+    if name in _CALLED and percent.replace(".", "").isdigit():
+        return f"{_CALLED[name]}, {percent} %"
+    return _CALLED.get(label, label)
+
+
 def _selects(method: Method) -> bool:
     """True if a method selects from the evidence, a function of one's own included."""
     return callable(method.name) or method.name in METHODS

@@ -91,7 +91,7 @@ class _Drawn:
     @classmethod
     def of(cls, maps: Sequence[Any], names: Sequence[str] | None, projection: str | None) -> _Drawn:
         positions = [np.asarray(lie.translation(host_poses(poses))) for poses in maps]
-        plane = projection or _widest(positions)
+        plane = projection or widest_plane(positions)
         places = [_projected(one, plane) for one in positions]
         space = positions[0].shape[-1] if positions else 2
         own = list(names or _names(maps))
@@ -103,8 +103,12 @@ class _Drawn:
         return dataclasses.replace(self, places=places, names=names, robots=list(robots))
 
 
-def _widest(positions: list[Any]) -> str:
-    """The axes but the one of least extent; those from above where that is not less than z's."""
+def widest_plane(positions: Sequence[Any]) -> str:
+    """The plane in which maps extend furthest, such as "xy"; that from above among equal ones.
+
+    Args:
+        positions: `[n, s]` of each map, metres.
+    """
     extents = np.max([np.ptp(one, axis=0) for one in positions], axis=0) if positions else []
     if len(extents) < 3:
         return "xy"
@@ -251,7 +255,7 @@ def plot_comparison(
     chosen = _panels(len(panels), (3.2, 4.2), 1.0) if axes is None else list(axes)
     reference = list(next(iter(panels.values()))[0])
     places = [np.asarray(lie.translation(host_poses(poses))) for poses in reference]
-    plane = projection or _widest(places)
+    plane = projection or widest_plane(places)
     for ax, (title, (maps, accepted)) in zip(chosen, panels.items(), strict=True):
         plot_trajectories_with_closures(
             aligned(list(maps), reference, align="umeyama"),

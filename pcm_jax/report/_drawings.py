@@ -23,6 +23,7 @@ from pcm_jax.consistency import chi2_gate, joint_consistency
 from pcm_jax.consistency.joint import thinned
 from pcm_jax.integrity import way_of
 from pcm_jax.merging import MergeResult
+from pcm_jax.plots.maps import widest_plane
 from pcm_jax.report._facts import FATES, Facts, ends_of, found_members, ratios, rival_members
 from pcm_jax.report._words import more
 from pcm_jax.selection import PairSelection
@@ -57,6 +58,7 @@ def drawings(
     pairs = result.selection.pairs if result.selection else ()
     return {
         "space": own[0].shape[1],
+        "plane": widest_plane(merged),
         "unit": unit,
         "every": every,
         "robots": [

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pcm_jax.files.account import skipped
 from pcm_jax.report._elements import Markup, element, joined
 from pcm_jax.report._words import counted, listed, number
 
@@ -61,15 +62,18 @@ def maps_section(drawn: dict[str, Any]) -> Markup:
         "A line between two poses is a closure: press one to see why it was accepted or rejected."
         " Drag to move, use the buttons or Ctrl and the wheel to zoom." + thinned,
         element("div", class_="legend", id="legend", role="group", aria_label="Closures drawn"),
-        _planes(drawn["space"]),
+        _planes(drawn),
         element("div", *figures, class_="figures"),
     )
 
 
-def _planes(space: int) -> Markup | None:
-    if space == 2:
+def _planes(drawn: dict[str, Any]) -> Markup | None:
+    if drawn["space"] == 2:
         return None
-    options = [element("option", f"{a} – {b}", value=a + b) for a, b in ("xy", "xz", "yz")]
+    options = [
+        element("option", f"{a} – {b}", value=a + b, selected=a + b == drawn["plane"])
+        for a, b in ("xy", "xz", "yz")
+    ]
     label = element("span", "Plane seen")
     return element(
         "div", element("label", label, element("select", *options, id="plane")), class_="controls"
@@ -307,9 +311,12 @@ def making_section(report: dict[str, Any]) -> Markup:
         "Seconds": ", ".join(f"{name} {number(s, 2)}" for name, s in report["seconds"].items()),
         "Version": f"pcm-jax {report['version']}",
     }
-    files = [row if isinstance(row, str) else row.get("path", "") for row in _files(report)]
+    files = [_file(row) for row in _files(report)]
     if files:
-        facts["Files"] = ", ".join(map(str, files))
+        facts["Files"] = ", ".join(files)
+    notes = (report.get("input") or {}).get("notes")
+    if notes:
+        facts["Of the files"] = "; ".join(notes)
     cycles = [
         f"{' – '.join(cycle['cycle'])}: p = {number(cycle['p'], 2)}" for cycle in report["team"]
     ]
@@ -322,6 +329,14 @@ def making_section(report: dict[str, Any]) -> Markup:
         "Settings and measures, to repeat the merge or to report it.",
         element("dl", *rows, class_="making"),
     )
+
+
+def _file(row: Any) -> str:
+    """A file that was read, with the lines of it that were not."""
+    if isinstance(row, str):
+        return row
+    left_out = row.get("left_out")
+    return f"{row.get('path', '')} ({skipped(left_out)})" if left_out else str(row.get("path", ""))
 
 
 def _files(report: dict[str, Any]) -> list[Any]:

@@ -7,7 +7,7 @@ import pytest
 
 from pcm_jax import InputError, merge, select
 from pcm_jax.evaluation import ate_rmse
-from pcm_jax.experiments import Method, compare_methods, mean_figures
+from pcm_jax.experiments import Method, called, compare_methods, mean_figures
 from pcm_jax.experiments.comparison import BEYOND_THE_PAPER, PAPER
 from pcm_jax.simulation import simulate_city
 
@@ -89,3 +89,20 @@ def test_means_over_graphs(compared):
 def test_a_wrong_mask_is_named(world):
     with pytest.raises(InputError, match=r"is_true: int64 \[3\] given, expected bool \[23\]"):
         compare_methods(world.graph, np.arange(3))
+
+
+@pytest.mark.parametrize(
+    ("label", "name"),
+    [
+        ("pcm-exact-11", "PCM, 11 %"),
+        ("pcm-heuristic-99", "PCM-HeuPatt, 99 %"),
+        ("ransac-3.5", "RANSAC, 3.5 %"),
+        ("scgp-binary", "SCGP, binary"),
+        ("no-outliers", "no outliers"),
+        ("pcm-exact", "PCM"),
+        ("one-of-my-own", "one-of-my-own"),
+    ],
+)
+def test_a_method_has_one_name(label, name):
+    assert called(label) == name
+    assert len({called(each) for each in PAPER | BEYOND_THE_PAPER}) == len(PAPER | BEYOND_THE_PAPER)

@@ -139,6 +139,13 @@ def test_warnings_and_hints_are_shown(result):
     assert told == ["Look at this: mind <this>", "Look at this: try that"]
 
 
+def test_lines_of_files_that_were_not_read_are_told(result):
+    files = [{"path": "a.g2o", "left_out": {"FIX": 2}}, {"path": "b.g2o", "left_out": {}}]
+    text = page(result, result.report() | {"input": {"files": files, "notes": ["1 row skipped"]}})
+    assert "a.g2o (skipped 2 lines (2 FIX)), b.g2o<" in text
+    assert "1 row skipped" in text
+
+
 def test_without_evidence_there_is_no_matrix(given):
     read = Page(page(given, given.report()))
     assert read.data()["pairs"] == []

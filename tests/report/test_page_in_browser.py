@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pcm_jax.report import _drawings as drawing
+
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed; pip install '.[test]' does it"
 )
@@ -311,6 +313,36 @@ def test_maps_in_space_are_seen_from_other_sides(opened):
         page.locator("#plane").select_option(plane)
         seen.add(page.locator("[data-draw=after] path.robot").first.get_attribute("d"))
     assert len(seen) == 3
+
+
+def test_closures_that_are_not_drawn_are_told(opened, written, result, monkeypatch):
+    """In the matrix, in the graph, and beside one of them."""
+    monkeypatch.setattr(drawing, "MOST_CLOSURES", 12)
+    result.to_html(written / "thinned.html")
+    page = opened("thinned")
+    told = page.locator("#agreement .thinned").inner_text()
+    assert told.startswith("12 of 20 closures are drawn")
+    assert told in page.locator("[data-draw=graph] svg").text_content()
+    shown = set(page.evaluate("pcm.data.pairs[0].closures"))
+    missing = min(set(range(20)) - shown)
+    page.evaluate(f"pcm.pick({missing})")
+    assert "not among those" in page.locator("#picked-body").inner_text()
+    page = opened("result")
+    assert page.locator("#agreement .thinned").inner_text() == ""
+
+
+def test_colours_are_those_of_the_theme(opened):
+    """What the style sheet says of both themes, and what canvases are painted with."""
+    found = {}
+    for theme in THEMES:
+        page = opened("result", "wide", theme)
+        found[theme] = page.evaluate("[pcm.colour('--paper'), pcm.colour('--near')]")
+        background = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert background == found[theme][0]
+    assert found["light"] == ["rgb(255, 255, 255)", "rgb(0, 69, 108)"]
+    assert found["dark"] == ["rgb(20, 23, 26)", "rgb(184, 226, 250)"]
+    page.locator("#theme").click()
+    assert page.evaluate("pcm.colour('--paper')") == "rgb(255, 255, 255)"
 
 
 def test_hostile_names_are_shown_as_they_are(opened, hostile):

@@ -8,6 +8,7 @@ import pytest
 from pcm_jax import lie
 from pcm_jax.integrity import STANDINGS, way_of
 from pcm_jax.report import _drawings as drawing
+from pcm_jax.report import page
 from pcm_jax.report._drawings import drawings
 from pcm_jax.report._facts import FATES, facts_of
 from pcm_jax.report._words import counted, listed, more, number
@@ -89,6 +90,11 @@ def test_positions_are_kept_to_half_a_unit(merged, drawn):
             np.testing.assert_allclose(found, expected, atol=0.5001 * drawn["unit"])
     extent = np.ptp(lie.translation(lie.as_numpy(merged.maps[0].poses)), axis=0).max()
     assert drawn["unit"] < 1e-3 * extent
+
+
+def test_maps_in_space_are_seen_in_the_plane_of_their_extent(spatial):
+    assert drawings(spatial, facts_of(spatial))["plane"] == "xy"
+    assert 'value="xy" selected' in page(spatial, spatial.report())
 
 
 def test_poses_are_thinned_to_the_last(merged, monkeypatch):

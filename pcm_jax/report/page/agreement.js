@@ -24,6 +24,9 @@
     name.textContent = "Order";
     label.append(name, chooser);
     controls.append(label);
+    const drawn = document.createElement("p");
+    drawn.className = "status thinned";
+    controls.append(drawn);
     host.before(controls);
     host.after(readout);
 
@@ -38,6 +41,7 @@
       const pair = data.pairs[state.pair];
       order = ordered(pair);
       picture = image(pair, pair.closures.length);
+      drawn.textContent = pcm.thinned(pair);
       draw(Math.floor(host.clientWidth));
     }
 
@@ -86,10 +90,8 @@
       small.width = small.height = n;
       const context = small.getContext("2d");
       const pixels = context.createImageData(n, n);
-      const style = getComputedStyle(document.documentElement);
-      const colour = (variable) => d3.rgb(style.getPropertyValue(variable).trim());
-      const within = d3.interpolateRgb(colour("--near"), colour("--near-limit"));
-      const beyond = d3.interpolateRgb(colour("--far-limit"), colour("--far"));
+      const within = d3.interpolateRgb(pcm.colour("--near"), pcm.colour("--near-limit"));
+      const beyond = d3.interpolateRgb(pcm.colour("--far-limit"), pcm.colour("--far"));
       const bytes = new DataView(new ArrayBuffer(4));
       const table = d3.range(256).map((level) => {
         const { r, g, b } = d3.rgb(level < 128 ? within(level / 127) : beyond(Math.min((level - 128) / 80, 1)));
@@ -105,11 +107,11 @@
     }
 
     function bars(context, pair) {
-      const style = getComputedStyle(document.documentElement);
+      const [ofSet, ofRival] = [pcm.colour("--accepted"), pcm.colour("--rival")];
       order.forEach((k, at) => {
         const member = pair.isMember.has(k);
         if (!member && !pair.isRival.has(k)) return;
-        context.fillStyle = style.getPropertyValue(member ? "--accepted" : "--rival");
+        context.fillStyle = member ? ofSet : ofRival;
         context.globalAlpha = member && !pair.accepted ? 0.55 : 1;
         const [start, length] = [BAR + at * cell, Math.max(cell, 1)];
         const strips = member ? [[2, 12]] : [[2, 4], [10, 4]];
@@ -124,8 +126,7 @@
     function mark(context, pair) {
       const at = state.picked === null ? -1 : order.indexOf(pair.place.get(state.picked));
       if (at < 0) return;
-      const style = getComputedStyle(document.documentElement);
-      [[style.getPropertyValue("--paper"), 4], [style.getPropertyValue("--ink"), 2]].forEach(([colour, thick]) => {
+      [[pcm.colour("--paper"), 4], [pcm.colour("--ink"), 2]].forEach(([colour, thick]) => {
         context.strokeStyle = colour;
         context.lineWidth = thick;
         context.strokeRect(BAR, BAR + at * cell, size, Math.max(cell, 2));
@@ -180,18 +181,10 @@
       const found = layout(state.pair);
       const height = Math.min(Math.max(260, 0.8 * width), 520);
       nodes = found.dots;
-      host.replaceChildren();
-      const svg = d3
-        .select(host)
-        .append("svg")
-        .attr("width", width)
-        .attr("height", height)
-        .attr("viewBox", `0 0 ${width} ${height}`)
-        .attr("role", "img")
-        .attr("aria-label", `Graph of ${nodes.length} closures and ${found.links.length} pairs that agree; ${found.alone} closures agree with no other.`);
+      const svg = pcm.drawing(host, width, height, `Graph of ${nodes.length} closures and ${found.links.length} pairs that agree; ${found.alone} closures agree with no other.`);
       const note = svg.append("text").attr("class", "axis-name").attr("x", 6).attr("y", height - 6);
       const many = (count, one, several) => `${count} ${count === 1 ? one : several}`;
-      note.text(`${many(found.links.length, "pair agrees", "pairs agree")}; ${many(found.alone, "closure agrees", "closures agree")} with no other`);
+      note.text(`${many(found.links.length, "pair agrees", "pairs agree")}; ${many(found.alone, "closure agrees", "closures agree")} with no other${pair.left_out ? `; ${pcm.thinned(pair)}` : ""}`);
       if (!nodes.length) return;
       const fit = (axis, low, high) => {
         const [a, b] = d3.extent(nodes, (node) => node[axis]);

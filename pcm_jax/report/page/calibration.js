@@ -7,13 +7,10 @@ pcm.startCalibration = () => {
       const most = d3.max([...expected, ...observed]) || 1;
       const x = d3.scaleLinear([0, most], [margin.left, width - margin.right]).nice();
       const y = d3.scaleLinear([0, most], [height - margin.bottom, margin.top]).nice();
-      host.replaceChildren();
-      const svg = d3.select(host).append("svg").attr("width", width).attr("height", height).attr("viewBox", `0 0 ${width} ${height}`);
-      svg.attr("role", "img").attr("aria-label", `Quantiles of ${expected.length} errors; on the diagonal they are as stated.`);
+      const svg = pcm.drawing(host, width, height, `Quantiles of ${expected.length} errors; on the diagonal they are as stated.`);
       svg.append("g").attr("class", "axis").attr("transform", `translate(0,${height - margin.bottom})`).call(d3.axisBottom(x).ticks(5));
       svg.append("g").attr("class", "axis").attr("transform", `translate(${margin.left},0)`).call(d3.axisLeft(y).ticks(5));
-      svg.append("text").attr("class", "axis-name").attr("x", width - margin.right).attr("y", height - 6).attr("text-anchor", "end").text("if errors are as stated");
-      svg.append("text").attr("class", "axis-name").attr("transform", `translate(12,${margin.top}) rotate(-90)`).attr("text-anchor", "end").text("as measured");
+      pcm.nameAxes(svg, ["if errors are as stated", "as measured"], margin, width, height);
       svg.append("path").attr("class", "diagonal").attr("d", `M${x(0)},${y(0)}L${x(most)},${y(most)}`);
       svg.append("path").attr("class", "ends accepted").attr("stroke-width", 5).attr("d", expected.map((value, k) => `M${x(value)},${y(observed[k])}h0`).join(""));
     });

@@ -12,6 +12,35 @@ pcm.redrawn = (host, draw) => {
   look();
 };
 
+// An empty drawing in place of what a host had.
+pcm.drawing = (host, width, height, label) =>
+  d3
+    .select(host)
+    .html("")
+    .append("svg")
+    .attr("width", width)
+    .attr("height", height)
+    .attr("viewBox", `0 0 ${width} ${height}`)
+    .attr("role", "img")
+    .attr("aria-label", label);
+
+// The names of a drawing's axes, at their far ends.
+pcm.nameAxes = (svg, [across, up], margin, width, height) => {
+  svg.append("text").attr("class", "axis-name").attr("x", width - margin.right).attr("y", height - 4).attr("text-anchor", "end").text(across);
+  svg.append("text").attr("class", "axis-name").attr("transform", `translate(11,${margin.top}) rotate(-90)`).attr("text-anchor", "end").text(up);
+};
+
+// A colour of the style sheet as it is in the theme that is seen.
+pcm.colour = (() => {
+  const probe = document.createElement("span");
+  probe.hidden = true;
+  document.body.append(probe);
+  return (name) => {
+    probe.style.color = `var(${name})`;
+    return getComputedStyle(probe).color;
+  };
+})();
+
 // The most that a map of this width may be high.
 pcm.tallest = (width) => Math.max(280, Math.min(560, 1.1 * width));
 
@@ -46,15 +75,7 @@ pcm.plane = (host, { label, box, axes, width, names }) => {
     .domain([middle[1] - high / perMetre / 2, middle[1] + high / perMetre / 2])
     .range([height - margin.bottom, margin.top]);
 
-  host.replaceChildren();
-  const svg = d3
-    .select(host)
-    .append("svg")
-    .attr("width", width)
-    .attr("height", height)
-    .attr("viewBox", `0 0 ${width} ${height}`)
-    .attr("role", "img")
-    .attr("aria-label", label);
+  const svg = pcm.drawing(host, width, height, label);
   const clip = `clip-${(pcm.clips = (pcm.clips || 0) + 1)}`;
   svg
     .append("clipPath")
@@ -69,10 +90,7 @@ pcm.plane = (host, { label, box, axes, width, names }) => {
   const frame = svg.append("g").attr("clip-path", `url(#${clip})`);
   const scene = frame.append("g").attr("class", "scene");
   const over = frame.append("g");
-  if (axes) {
-    svg.append("text").attr("class", "axis-name").attr("x", width - margin.right).attr("y", height - 4).attr("text-anchor", "end").text(`${names[0]} (m)`);
-    svg.append("text").attr("class", "axis-name").attr("transform", `translate(11,${margin.top}) rotate(-90)`).attr("text-anchor", "end").text(`${names[1]} (m)`);
-  }
+  if (axes) pcm.nameAxes(svg, names.map((name) => `${name} (m)`), margin, width, height);
   const bar = svg.append("g").attr("class", "scale-bar");
 
   const view = { x, y, scene, over, svg, height, transform: d3.zoomIdentity, onMove: () => {} };

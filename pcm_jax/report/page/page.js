@@ -60,12 +60,13 @@
     body.append(facts(row));
     const relations = pcm.relations(state.picked);
     if (relations) {
-      const some = relations.ofSet ? relations.set : "of all";
+      const some = relations.ofSet ? relations.set : relations.all;
       body.append(
         named(`Contradicts ${relations.contradicts.length} ${some}, the worst first`, relations.contradicts),
         named(`Agrees with ${relations.agrees.length} ${some}`, relations.agrees),
       );
     }
+    else if (data.pairs.length) body.append(make("p", "It is not among those whose agreement with others is drawn.", "note"));
     body.scrollTop = 0;
   }
 

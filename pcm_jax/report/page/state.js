@@ -2,7 +2,7 @@
 // The page's data, what the reader has picked, and who is told when that changes.
 const pcm = (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const state = { picked: null, hidden: new Set(), plane: "xy", pair: 0 };
+  const state = { picked: null, hidden: new Set(), plane: data.plane, pair: 0 };
   const listeners = { pick: [], hidden: [], plane: [], pair: [], theme: [] };
   const on = (event, listener) => listeners[event].push(listener);
   const tell = (event) => listeners[event].forEach((listener) => listener(state));
@@ -27,6 +27,10 @@ const pcm = (() => {
     };
   });
 
+  // What is said where a pair of robots has more closures than are drawn.
+  const thinned = (pair) =>
+    pair.left_out ? `${pair.closures.length} of ${pair.closures.length + pair.left_out} closures are drawn, with all of the set found and its rival` : "";
+
   const count = data.closures.fate.length;
   const pairOf = (closure) => data.pairs.findIndex((pair) => pair.place.has(closure));
 
@@ -42,6 +46,7 @@ const pcm = (() => {
     const worst = (i, j) => pair.level(at, j) - pair.level(at, i);
     return {
       ofSet: pair.members.length > 0 && !isMember,
+      all: pair.left_out ? "of those drawn" : "of all",
       set: pair.accepted ? "accepted" : "found to agree",
       agrees: among.filter((k) => pair.agree(at, k)).map((k) => pair.closures[k]),
       contradicts: among.filter((k) => !pair.agree(at, k)).sort(worst).map((k) => pair.closures[k]),
@@ -67,5 +72,5 @@ const pcm = (() => {
     tell("plane");
   }
   const axes = () => [...state.plane].map((axis) => "xyz".indexOf(axis));
-  return { data, state, on, tell, pick, choosePair, toggle, choosePlane, relations, axes, count };
+  return { data, state, on, tell, pick, choosePair, toggle, choosePlane, relations, thinned, axes, count };
 })();
