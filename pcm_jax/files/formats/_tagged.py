@@ -72,10 +72,22 @@ def read_tagged(source: Source, reading: Reading) -> PoseFile:
         clipped,
         format=_format_of(known),
         left_out={tag: count for tag, count in left_out.items() if count},
+        notes=_angle_doubts(known),
         priors=in_order(group, priors, 1) if priors else None,
         stamps=keyframe_stamps(path),
         how=f"{reading.information}{'; default sigmas' if bare else ''}",
     )
+
+
+def _angle_doubts(known: dict[str, Rows]) -> list[str]:
+    """A line on the measured angles of each tag that are no radians."""
+    doubts = []
+    for tag, rows in known.items():
+        kind = TAGS[tag]
+        if kind.edge and kind.coordinates != "quaternion":
+            values = rows.floats(kind.start, kind.start + len(COLUMNS[kind.coordinates]))
+            doubts.append(coordinates.angle_doubt(kind.coordinates, values, rows.line))
+    return [doubt for doubt in doubts if doubt is not None]
 
 
 def _format_of(known: dict[str, Rows]) -> str:
