@@ -54,7 +54,7 @@ Entry = tuple[str, int, int]  # the kind and the directions that a column speaks
 def entry_of(name: str, d: int) -> Entry | None:
     """What a column of a name states of a measurement with d directions; None for another name."""
     if name in PRECISIONS:
-        return ("precision", *([PRECISIONS[name]] * 2)) if d == 6 else None
+        return ("precision", PRECISIONS[name], PRECISIONS[name]) if d == 6 else None
     found = _NAME.fullmatch(name)
     if found is None:
         return None
