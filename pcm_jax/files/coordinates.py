@@ -31,6 +31,8 @@ from pcm_jax.graph.validation import (
 )
 
 TURN = 2.0 * np.pi * (1.0 + 1e-4)  # radians, as a file may round them
+FIRST_ANGLE = {"angle": 2, "euler": 3}
+"""The first column that is an angle, by the kind of coordinates."""
 TORO_ORDER = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
 
 
@@ -57,19 +59,17 @@ def parameters(
 
 
 def angle_doubt(
-    coordinates: str, values: Float[np.ndarray, "n k"], line: Int[np.ndarray, " n"]
+    coordinates: str, angles: Float[np.ndarray, "n k"], line: Int[np.ndarray, " n"]
 ) -> str | None:
     """Says that measured angles are no radians, if they lie beyond a turn; else None.
 
     Args:
         coordinates: "angle", "quaternion" or "euler".
-        values: `[n, 3]`, `[n, 7]` or `[n, 6]`, as for `parameters`.
+        angles: `[n, 1]` or `[n, 3]`, the columns from `FIRST_ANGLE` on.
         line: where each stands.
     """
-    first = {"angle": 2, "euler": 3}.get(coordinates)
-    if first is None or not len(values):
+    if coordinates not in FIRST_ANGLE or not len(angles):
         return None
-    angles = values[:, first:]
     largest = np.abs(angles).max(axis=1)
     row = int(np.argmax(largest))
     if largest[row] <= TURN:

@@ -46,6 +46,7 @@ class _Subject(NamedTuple):
         group: of the poses.
         length: metres.
         turn: the median angle of rotations, radians; 0 in the plane.
+        sigmas: medians, as the information was read.
     """
 
     name: str
@@ -54,11 +55,7 @@ class _Subject(NamedTuple):
     group: type[Any]
     length: float
     turn: float
-
-    @property
-    def sigmas(self) -> Sigmas:
-        """Medians, as the information was read."""
-        return _sigmas(self.information, self.group)
+    sigmas: Sigmas
 
 
 def doubts(
@@ -79,7 +76,17 @@ def doubts(
     subjects = list(robots)
     if len(closures):
         information = np.asarray(closures.information)
-        subjects.append(_Subject("closures", "maps", information, closures.group, extent, 0.0))
+        subjects.append(
+            _Subject(
+                "closures",
+                "maps",
+                information,
+                closures.group,
+                extent,
+                0.0,
+                _sigmas(information, closures.group),
+            )
+        )
     for one in subjects:
         if not _plausible(one.sigmas, one.length):
             severe = not _plausible(one.sigmas, SEVERE * one.length)
@@ -129,7 +136,8 @@ def _odometry(one: PoseGraph) -> _Subject | None:
     if not len(information):
         return None
     step, turn = _step(one, odometry), _turn(one, odometry)
-    return _Subject(f"robot {one.name}", "a step", information, one.group, step, turn)
+    sigmas = _sigmas(information, one.group)
+    return _Subject(f"robot {one.name}", "a step", information, one.group, step, turn, sigmas)
 
 
 def _extent(one: PoseGraph) -> float:

@@ -1,4 +1,4 @@
-"""Candidate loop closures as CSV, with commas, semicolons or tabs between the columns.
+"""Candidate loop closures as CSV, with commas, semicolons, tabs or blanks between the columns.
 
 Without a line of column names: `robot_a, id_a, robot_b, id_b`, then the pose of b seen from a as
 `x, y, theta` or `x, y, z, qx, qy, qz, qw`, then nothing, one standard deviation per tangent
@@ -18,6 +18,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
@@ -76,6 +77,8 @@ NAMES = {
     "is_true": ("is_true",),
 }
 _OF = {name: column for column, names in NAMES.items() for name in names}
+_ID = re.compile(r"-?\d+")
+_NUMBER = re.compile(r"[-+.\d]")
 _TEXT_ID = re.compile(r"([A-Za-z])(\d+)")
 _WIDTHS = {4 + k + extra for k, d in ((3, 3), (7, 6)) for extra in (0, d, d * (d + 1) // 2)}
 
@@ -88,13 +91,19 @@ def looks_like_candidates(source: Source) -> float:
     mark = delimiter_of(line)
     if mark is None or line.startswith(("{", "[", "<")):
         return 0.0
-    words = [word.strip().strip('"') for word in line.split(mark)]
+    words = [
+        word.strip().strip('"') for word in line.rstrip(mark).split(None if mark == " " else mark)
+    ]
     known = [_OF.get(word.lower()) for word in words]
     if "id_a" in known and "id_b" in known:
         return 1.0
-    if len(words) < 7 or not all(re.fullmatch(r"-?\d+", word) for word in (words[1], words[3])):
+    ids = len(words) >= 7 and all(_ID.fullmatch(word) for word in (words[1], words[3]))
+    whole = ids and len(words) in _WIDTHS
+    if mark == " ":  # lines of other formats begin with a tag, or hold numbers alone
+        return 0.5 * (whole and not any(_NUMBER.match(word) for word in (words[0], words[2])))
+    if not ids:
         return 0.1 * (len(words) > 4)
-    return 0.8 if len(words) in _WIDTHS and not words[0].isdigit() else 0.4
+    return 0.8 if whole and not words[0].isdigit() else 0.4
 
 
 def read_candidates(source: Source, reading: Reading) -> PoseFile:
@@ -107,7 +116,10 @@ def read_candidates(source: Source, reading: Reading) -> PoseFile:
         InputWarning: for quaternions further than 1e-3 from unit length.
     """
     rows = csv_rows(source.path, source.lines)
-    header = [word.lower() for word in rows.first] if _is_header(rows) else None
+    header = [word.lower() for word in rows.first] if _is_header(rows.first) else None
+    told = source.comment_before(rows.line[0]) if header is None and len(rows) else None
+    if told is not None and _is_header(told) and len(told) == len(rows.first):
+        rows, header = rows.under(told), [word.lower() for word in told]
     group = reading.group or _group_of(rows, header)
     standard = (*ENDS, *COLUMNS["angle" if group is jaxlie.SE2 else "quaternion"])
     if header is not None and tuple(header) == standard:
@@ -160,9 +172,8 @@ def _file(
     )
 
 
-def _is_header(rows: Rows) -> bool:
-    known = [word for word in rows.first if word.lower() in _OF]
-    return len(known) >= 4
+def _is_header(words: Sequence[str]) -> bool:
+    return sum(word.lower() in _OF for word in words) >= 4
 
 
 def _group_of(rows: Rows, header: list[str] | None) -> type[Any]:
@@ -268,7 +279,8 @@ def _ends(rows: Rows, columns: _Columns) -> tuple[np.ndarray | None, np.ndarray]
 def _transforms(rows: Rows, columns: _Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     values = columns.floats(rows, columns.measured)
     transforms = coordinates.parameters(columns.coordinate, values, rows.fault)
-    doubt = coordinates.angle_doubt(columns.coordinate, values, rows.line)
+    angles = values[:, coordinates.FIRST_ANGLE.get(columns.coordinate, 0) :]
+    doubt = coordinates.angle_doubt(columns.coordinate, angles, rows.line)
     return transforms, () if doubt is None else (doubt,)
 
 
