@@ -50,7 +50,10 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
     raise_first(
         (robots[0] == robots[1]) & ~loops,
         fault,
-        lambda row: f"closure from robot {called[row, 0]!r} to itself, expected two robots",
+        lambda row: (
+            f"closure from robot {called[row, 0]!r} to itself, expected two robots; skip_bad"
+            " (--skip-bad) leaves such candidates out"
+        ),
     )
     rows = np.flatnonzero(~loops)
     kept, robots = edges[rows], [robot[rows] for robot in robots]

@@ -13,7 +13,7 @@ from pcm_jax.files._lettered import called_by_name, lettered_candidates
 from pcm_jax.files._named import assumed, named_closures
 from pcm_jax.files.account import Account, Copy, account_of
 from pcm_jax.files.plausibility import doubts
-from pcm_jax.files.pose_file import PoseFile, Reading
+from pcm_jax.files.pose_file import PoseFile, Reading, without_self_loops
 from pcm_jax.files.robots import assemble
 from pcm_jax.files.scopes import scopes_of
 from pcm_jax.graph.copies import counted_once
@@ -49,6 +49,7 @@ def graph_of(
         raise FileFormatError(files[0].path, None, "candidates only, expected a map as well")
     check_one_group([file for file in own if len(file.edges) or len(file.vertices)])
     placed, scopes = scopes_of(own, reading.ids)
+    placed = [without_self_loops(file) for file in placed]
     if reading.components:
         scopes = [by_components(*both) for both in zip(placed, scopes, strict=True)]
     made = assemble(placed, scopes)

@@ -434,6 +434,19 @@ def test_a_candidate_from_a_pose_to_itself(account):
     assert "1 candidates from a pose to itself left out" in told.notes[0]
 
 
+def test_a_candidate_from_a_pose_to_itself_in_a_graph_file(write):
+    """Left out of candidates; of a map it is an error that calls the pose by its name."""
+    maps = [write(flat(key(f"{x}0"), key(f"{x}1"), 1), name=f"{x}.g2o") for x in "ab"]
+    lines = [flat(key("a1"), key("a1"), 0), flat(key("a1"), key("b1"), 2)]
+    with pytest.warns(InputWarning, match=r"c.g2o: 1 candidates from a pose to itself left out"):
+        graph = read_graph(*maps, closures=write(*lines, name="c.g2o"))
+    assert len(graph.closures) == 1
+    with pytest.raises(FileFormatError, match=r"c.g2o:1: edge from pose a1 to itself"):
+        read_graph(*maps, write(*lines, name="c.g2o"))
+    with pytest.warns(InputWarning, match=r"1 candidates from a pose to itself left out"):
+        assert len(read_candidates(write(*lines, name="c.g2o"), graph)) == 1
+
+
 def test_bad_candidates_on_request(account):
     rest = f"0,2,0,0,0,0,1,{SOLID.replace(' ', ',')}"
     rows = [f"a,0,b,1,{rest}", f"a,x,b,1,{rest}", f"a,0,z,1,{rest}", f"a,0,b,77,{rest}"]
@@ -488,3 +501,13 @@ def test_candidates_between_maps_in_memory(write, account):
     assert (more.pose_a.tolist(), more.pose_b.tolist()) == ([0, 2], [0, 2])
     with pytest.raises(FileFormatError, match=r"d.g2o:1: pose 7 is in 0 of the maps, expected in"):
         read_candidates(write(solid(0, 7, 1), name="d.g2o"), graph)
+
+
+def test_candidates_between_maps_in_memory_are_doubted_too(write, account):
+    graph, _ = account(lines_of("a"), lines_of("b"))
+    path = write("id_a,id_b,x,y,theta,note", "a0,b1,1500,200,90,7", name="c.csv")
+    with pytest.warns(InputWarning) as told:
+        read_candidates(path, graph)
+    lines = [str(one.message) for one in told]
+    for part in ("columns left out: note", "theta 90 is more than", "maps of 3 m cannot be meant"):
+        assert any(part in line for line in lines), part
