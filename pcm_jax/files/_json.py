@@ -53,6 +53,10 @@ class Member:
             raise self.fault(f"{_kind(self.value)} given, expected an object")
         return [(key, self.at(key)) for key in self.value]
 
+    def key(self, name: str) -> Member:
+        """A member's name as the number that it is."""
+        return Member(self.path, f"{self.place}.{name}", int(name) if name.isdigit() else name)
+
     def list(self) -> list[Member]:
         """The members of a list."""
         if not isinstance(self.value, list):
@@ -72,6 +76,19 @@ class Member:
         if not -(2**63) <= self.value < 2**63:
             raise self.fault(f"{self.value} given, expected an integer of 64 bits")
         return self.value
+
+    def matrix(self, size: int) -> Float[np.ndarray, " n"]:
+        """The finite numbers of a square matrix, in one list or a list a row: float64 `[size²]`."""
+        values = self.value
+        if (
+            isinstance(values, list)
+            and len(values) == size
+            and all(isinstance(row, list) and len(row) == size for row in values)
+        ):
+            return Member(self.path, self.place, [one for row in values for one in row]).numbers(
+                size * size
+            )
+        return self.numbers(size * size)
 
     def numbers(self, count: int) -> Float[np.ndarray, " n"]:
         """A list of finite numbers, float64 `[count]`."""

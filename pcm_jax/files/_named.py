@@ -50,7 +50,10 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
     raise_first(
         (robots[0] == robots[1]) & ~loops,
         fault,
-        lambda row: f"closure from robot {called[row, 0]!r} to itself, expected two robots",
+        lambda row: (
+            f"closure from robot {called[row, 0]!r} to itself, expected two robots; skip_bad"
+            " (--skip-bad) leaves such candidates out"
+        ),
     )
     rows = np.flatnonzero(~loops)
     kept, robots = edges[rows], [robot[rows] for robot in robots]
@@ -59,14 +62,10 @@ def named_closures(file: PoseFile, graph: MultiRobotGraph) -> tuple[LoopClosures
     information, notes = kept.information, []
     if loops.any():
         notes.append(f"{file.path}: {int(loops.sum())} candidates from a pose to itself left out")
-    if file.bare:
-        information = np.tile(_median_information(graph.maps), (len(kept), 1, 1))
-        sigmas = 1.0 / np.sqrt(np.diagonal(information[0])) if len(kept) else np.zeros(0)
-        text = ", ".join(f"{sigma:.3g}" for sigma in sigmas)
-        notes.append(
-            f"{file.path}: no columns for the uncertainty; the median standard deviations of the"
-            f" maps' edges ({text}) are used"
-        )
+    if file.bare and len(kept):
+        median, told = assumed(file.path, graph.maps)
+        information = np.tile(median, (len(kept), 1, 1))
+        notes.append(told)
     known = bool((kept.label != UNKNOWN).all())
     closures = LoopClosures.from_checked(
         (robots[0], poses[0], robots[1], poses[1]),
@@ -112,6 +111,16 @@ def named_by_ids(file: PoseFile, graph: MultiRobotGraph) -> np.ndarray:
     )
     names = np.array(graph.names, object)
     return names[np.argmax(holds, axis=0)] if ids.size else np.zeros((0, 2), object)
+
+
+def assumed(path: str, maps: tuple[PoseGraph, ...]) -> tuple[Float[np.ndarray, "d d"], str]:
+    """The information of candidates that come without, and a note that says so."""
+    information = _median_information(maps)
+    text = ", ".join(f"{sigma:.3g}" for sigma in 1.0 / np.sqrt(np.diagonal(information)))
+    return information, (
+        f"{path}: no columns for the uncertainty; the median standard deviations of the maps' edges"
+        f" ({text}) are used"
+    )
 
 
 def _median_information(maps: tuple[PoseGraph, ...]) -> Float[np.ndarray, "d d"]:

@@ -52,6 +52,12 @@ class FileAccount:
             yield f"  {skipped(self.left_out)}"
         yield from (f"  {note}" for note in self.notes)
 
+    def warnings(self) -> Iterator[str]:
+        """Lists what a reader of the file must be told, one line each."""
+        if self.left_out:
+            yield f"{self.path}: {skipped(self.left_out)}"
+        yield from (f"{self.path}: {note}" for note in self.notes)
+
 
 @dataclasses.dataclass(frozen=True)
 class Copy:
@@ -99,9 +105,7 @@ class Account:
     def warnings(self) -> Iterator[str]:
         """Lists what a reader of files must be told, one line each."""
         for file in self.files:
-            if file.left_out:
-                yield f"{file.path}: {skipped(file.left_out)}"
-            yield from (f"{file.path}: {note}" for note in file.notes)
+            yield from file.warnings()
         if self.clipped:
             names = ", ".join(file.path for file in self.files)
             yield f"{names}: {self.clipped} information matrices clipped to positive definite"

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files._components import by_components
 from pcm_jax.files._lettered import called_by_name, lettered_candidates
-from pcm_jax.files._named import named_closures
+from pcm_jax.files._named import assumed, named_closures
 from pcm_jax.files.account import Account, Copy, account_of
 from pcm_jax.files.plausibility import doubts
-from pcm_jax.files.pose_file import PoseFile, Reading
+from pcm_jax.files.pose_file import PoseFile, Reading, without_self_loops
 from pcm_jax.files.robots import assemble
 from pcm_jax.files.scopes import scopes_of
 from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
+from pcm_jax.graph.pose_graph import PoseGraph
 from pcm_jax.graph.unsaid import told
 
 MOST_BAD = 1000  # candidates that `skip_bad` leaves out of one file
@@ -48,18 +49,21 @@ def graph_of(
         raise FileFormatError(files[0].path, None, "candidates only, expected a map as well")
     check_one_group([file for file in own if len(file.edges) or len(file.vertices)])
     placed, scopes = scopes_of(own, reading.ids)
+    placed = [without_self_loops(file) for file in placed]
     if reading.components:
         scopes = [by_components(*both) for both in zip(placed, scopes, strict=True)]
     made = assemble(placed, scopes)
-    graph = MultiRobotGraph(made.maps, made.closures, made.truth)
-    parts, notes = [made.closures], [*notes, *made.notes]
+    closures, assumptions = _with_information(made.closures, own, made.maps)
+    graph = MultiRobotGraph(made.maps, closures, made.truth)
+    parts, notes = [closures], [*notes, *made.notes, *assumptions]
     for file in files:
         if file.candidates and file.named is not None:
             meant, told_names = called_by_name(file, graph.names) if file.lettered else (file, [])
             more, left_out = _tolerant(meant, graph, skip_bad)
             parts.append(more)
             notes += [*told_names, *left_out]
-    between, copies = _once(LoopClosures.concatenate(parts))
+    bare = {file.path for file in files if file.bare}
+    between, copies = _once(LoopClosures.concatenate(parts), bare)
     graph = MultiRobotGraph(made.maps, between, made.truth)
     accounts = {
         id(file): account_of(found, scope)
@@ -77,14 +81,39 @@ def graph_of(
     return graph, account
 
 
-def _once(closures: LoopClosures) -> tuple[LoopClosures, tuple[Copy, ...]]:
-    """Closures without those that state an earlier one again, and these."""
-    once, first, turned = counted_once(closures)
+def _with_information(
+    closures: LoopClosures, files: Sequence[PoseFile], maps: tuple[PoseGraph, ...]
+) -> tuple[LoopClosures, list[str]]:
+    """Closures of files that state no uncertainty with the maps' median, and notes on that."""
+    information, notes = np.array(closures.information), []
+    for path in [file.path for file in files if file.bare]:
+        rows = [_path(source) == path for source in closures.source]
+        if any(rows):
+            information[np.array(rows)], told = assumed(path, maps)
+            notes.append(told)
+    return (dataclasses.replace(closures, information=information) if notes else closures), notes
+
+
+def _path(source: object) -> str:
+    return str(source).rpartition(":")[0]
+
+
+def _once(
+    closures: LoopClosures, bare: Collection[str] = ()
+) -> tuple[LoopClosures, tuple[Copy, ...]]:
+    """Closures without those that state another one again, and these.
+
+    Args:
+        closures: some.
+        bare: the files that state no uncertainty.
+    """
+    assumed = np.array([_path(source) in bare for source in closures.source], bool)
+    once, first, turned = counted_once(closures, assumed)
     again = first != np.arange(len(first))
     seen: set[tuple[int, str]] = set()
     copies = []
     for row in np.flatnonzero(again | np.isin(np.arange(len(first)), first[again])).tolist():
-        key = (int(first[row]), str(closures.source[row]).rsplit(":", 1)[0])
+        key = (int(first[row]), _path(closures.source[row]))
         if again[row]:
             source, original = str(closures.source[row]), str(closures.source[first[row]])
             copies.append(Copy(source, original, bool(turned[row]), key not in seen))

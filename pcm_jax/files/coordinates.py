@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.graph.validation import (
@@ -30,6 +30,9 @@ from pcm_jax.graph.validation import (
     unit_rotations,
 )
 
+TURN = 2.0 * np.pi * (1.0 + 1e-4)  # radians, as a file may round them
+FIRST_ANGLE = {"angle": 2, "euler": 3}
+"""The first column that is an angle, by the kind of coordinates."""
 TORO_ORDER = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
 
 
@@ -53,6 +56,27 @@ def parameters(
         return np.concatenate([_quaternion(values[:, 3:]), values[:, :3]], axis=1)
     order = "x y z qx qy qz qw"
     return unit_rotations(values[:, [6, 3, 4, 5, 0, 1, 2]], 4, fault, columns=order)
+
+
+def angle_doubt(
+    coordinates: str, angles: Float[np.ndarray, "n k"], line: Int[np.ndarray, " n"]
+) -> str | None:
+    """Says that measured angles are no radians, if they lie beyond a turn; else None.
+
+    Args:
+        coordinates: "angle", "quaternion" or "euler".
+        angles: `[n, 1]` or `[n, 3]`, the columns from `FIRST_ANGLE` on.
+        line: where each stands.
+    """
+    if coordinates not in FIRST_ANGLE or not len(angles):
+        return None
+    largest = np.abs(angles).max(axis=1)
+    row = int(np.argmax(largest))
+    if largest[row] <= TURN:
+        return None
+    value = angles[row, int(np.argmax(np.abs(angles[row])))]
+    name = "theta" if coordinates == "angle" else "roll, pitch or yaw"
+    return f"line {line[row]}: {name} {value:g} is more than a turn, expected radians (degrees?)"
 
 
 def _quaternion(angles: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 4"]:

@@ -59,7 +59,7 @@ class Roster:
     A name is a robot's own. Where it is none, the number in a name will do ("1" for "robot1"), and
     so will a robot's place: its letter (a, b, …) or number (0, 1, …) in the order of the maps.
     Places are no names where some robot is called by another one's place, or where two readings
-    differ.
+    differ, as where b is the second robot's letter, but the first one's initial.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -69,6 +69,10 @@ class Roster:
         distinct = all(numbers) and len(set(map(int, numbers))) == len(numbers)
         self.by_number = {str(int(n)): k for k, n in enumerate(numbers)} if distinct else {}
         self.by_letter = self._by_place([chr(ord("a") + k) for k in range(min(len(names), 26))])
+        initials = [name[:1].lower() for name in names]
+        self.by_initial = {
+            letter: k for k, letter in enumerate(initials) if initials.count(letter) == 1
+        }
         self.by_place = self._by_place([str(k) for k in range(len(names))])
 
     def _by_place(self, places: list[str]) -> dict[str, int]:
@@ -101,7 +105,7 @@ class Roster:
         if value in self.by_name:
             return {self.by_name[value]}
         if value in self.by_letter:
-            return {self.by_letter[value]}
+            return {way[value] for way in (self.by_letter, self.by_initial) if value in way}
         stem = stem_of(value) if "." in value or "/" in value else value
         if stem in self.by_name:
             return {self.by_name[stem]}

@@ -17,7 +17,8 @@ from pcm_jax.errors import InputError, check_choice
 from pcm_jax.files._scope import Scope
 from pcm_jax.files.source import LIMIT
 from pcm_jax.files.text import line_fault
-from pcm_jax.graph.validation import Fault, check_information, check_self_loops, clip_to_definite
+from pcm_jax.graph import symbols
+from pcm_jax.graph.validation import Fault, check_information, clip_to_definite, raise_first
 
 SURE = 1e-9
 """Share of an entry of the diagonal left as its pivot: no test of definiteness then fails."""
@@ -197,11 +198,33 @@ def in_order(group: type[Any], parts: Sequence[Lines], ends: int) -> Lines:
 
 
 def checked(path: str, edges: Lines, repair: str | None) -> tuple[Lines, int]:
-    """Edges between different poses, their information as by `definite`; how many were repaired."""
-    fault = line_fault(path, edges.line)
-    check_self_loops(edges.ids[:, 0], edges.ids[:, 1], fault)
-    information, clipped = definite(edges.information, fault, repair)
+    """Edges with their information as by `definite`; how many were repaired."""
+    information, clipped = definite(edges.information, line_fault(path, edges.line), repair)
     return dataclasses.replace(edges, information=information), clipped
+
+
+def without_self_loops(file: PoseFile) -> PoseFile:
+    """Leaves out candidates from a pose to itself, which say nothing, with a note.
+
+    Raises:
+        FileFormatError: for such an edge of a map.
+    """
+    edges = file.edges
+    loops = edges.ids[:, 0] == edges.ids[:, 1]
+    if file.named is not None or not loops.any():
+        return file
+    if not file.candidates:
+        raise_first(
+            loops,
+            line_fault(file.path, edges.line),
+            lambda row: (
+                f"edge from pose {symbols.key_text(int(edges.ids[row, 0]))} to itself, expected two"
+                " different poses"
+            ),
+        )
+    note = f"{int(loops.sum())} candidates from a pose to itself left out"
+    kept = edges[np.flatnonzero(~loops)]
+    return dataclasses.replace(file, edges=kept, notes=(*file.notes, note))
 
 
 def definite(

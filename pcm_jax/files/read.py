@@ -10,11 +10,12 @@ from typing import Any
 
 from pcm_jax.errors import FileFormatError, InputError, InputWarning
 from pcm_jax.files._named import candidates_between
-from pcm_jax.files.account import Account
+from pcm_jax.files.account import Account, account_of
 from pcm_jax.files.assembly import MOST_BAD, check_one_group, closures_of, graph_of
 from pcm_jax.files.formats import named, recognised
 from pcm_jax.files.names import check_given_once
-from pcm_jax.files.pose_file import PoseFile, Reading
+from pcm_jax.files.plausibility import doubts
+from pcm_jax.files.pose_file import PoseFile, Reading, without_self_loops
 from pcm_jax.files.source import LIMIT, Source
 from pcm_jax.files.trajectories import joined_in_order
 from pcm_jax.graph.loop_closures import LoopClosures
@@ -163,15 +164,19 @@ def read_candidates(
         FileFormatError: naming file, line, value and what was expected.
 
     Warns:
-        InputWarning: for what was left out, assumed, or stated again.
+        InputWarning: for what was left out, assumed, doubted, or stated again.
     """
     graph = maps if isinstance(maps, MultiRobotGraph) else MultiRobotGraph(tuple(maps))
     reading = Reading(information, default_sigmas=default_sigmas, group=graph.group)
     file, notes = _read_candidates(str(path), reading, skip_bad)
+    file = without_self_loops(dataclasses.replace(file, candidates=True))
     file, meant = candidates_between(file, graph)
     closures, told, copies = closures_of(file, graph, skip_bad)
     again = [f"{len(copies)} closures repeat earlier ones and are counted once"] if copies else []
-    for line in [*notes, *meant, *told, *again]:
+    own = list(account_of(file, None).warnings())
+    found = doubts(graph.maps, closures, information)
+    doubted = [line for line, severe in found if severe and line.startswith("closures")]
+    for line in [*own, *notes, *meant, *told, *again, *doubted]:
         warnings.warn(InputWarning(line), stacklevel=2)
     return closures
 

@@ -6,6 +6,7 @@ import functools
 import gzip
 import io
 import lzma
+import re
 import stat
 import sys
 import zlib
@@ -103,6 +104,12 @@ class Source:
                 if len(found) == HEAD:
                     break
         return found
+
+    def comment_before(self, line: int) -> list[str] | None:
+        """The words of the comment right above a line, which may name columns and their units."""
+        above = self.lines[int(line) - 2].strip() if line > 1 else ""
+        bare = re.sub(r"\[[^\]]*\]|\([^)]*\)", "", above)
+        return re.findall(r"[^\s,;#\"]+", bare) if above.startswith("#") else None
 
     def _open(self) -> IO[bytes]:
         return io.BytesIO(self._piped) if self.path == PIPED else _opened(self.path)

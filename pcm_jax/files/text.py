@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import itertools
 import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.graph import symbols
@@ -60,10 +61,23 @@ class Rows:
         """The words of the first row."""
         return self.words[: self.widths[0]] if len(self) else []
 
+    def under(self, names: Sequence[str]) -> Rows:
+        """The rows below a first one that has the columns' names."""
+        first = self.line[:1] - 1
+        widths = np.concatenate([[len(names)], self.widths])
+        return Rows(self.path, np.concatenate([first, self.line]), widths, [*names, *self.words])
+
     @property
     def rest(self) -> Rows:
         """All rows but the first."""
         return Rows(self.path, self.line[1:], self.widths[1:], self.words[self.widths[0] :])
+
+    def __getitem__(self, chosen: Bool[np.ndarray, " n"]) -> Rows:
+        """The rows that a mask marks."""
+        if chosen.all():
+            return self
+        words = list(itertools.compress(self.words, np.repeat(chosen, self.widths).tolist()))
+        return Rows(self.path, self.line[chosen], self.widths[chosen], words)
 
     def check_width(self, width: int, expected: str, last_line: int = 0) -> None:
         """Every row has `width` words; to be called before `column`, `integers` and `floats`.
@@ -203,21 +217,27 @@ def table_rows(path: str, lines: Sequence[str]) -> Rows:
 
 
 def delimiter_of(line: str) -> str | None:
-    """The character between a line's columns: a semicolon, tab or comma; None without any."""
-    return next((mark for mark in ";\t," if mark in line), None)
+    """What is between a line's columns: a semicolon, tab or comma, else blanks; None for one."""
+    found = next((mark for mark in ";\t," if mark in line), None)
+    return " " if found is None and " " in line.strip() else found
 
 
 def csv_rows(path: str, lines: Sequence[str]) -> Rows:
     """Splits lines at commas; blank lines and those that start with "#" are dropped.
 
-    Semicolons or tabs will do for commas, where the first line has them.
+    Semicolons, tabs or blanks will do for commas, where the first line has them. A first line that
+    ends with one has no column there, and no line has.
     """
     first = next((line for line in lines if line.strip() and line.lstrip()[0] != "#"), "")
     mark = delimiter_of(first) or ","
 
+    open_ended = mark != " " and first.rstrip().endswith(mark)
+
     def split(line: str) -> list[str]:
-        cells = next(csv.reader([line], skipinitialspace=True, delimiter=mark))
-        return [word.strip() for word in cells]
+        text = " ".join(line.split()) if mark == " " else line
+        cells = next(csv.reader([text], skipinitialspace=True, delimiter=mark))
+        words = [word.strip() for word in cells]
+        return words[:-1] if open_ended and words[-1:] == [""] else words
 
     return _split_rows(path, lines, split)
 

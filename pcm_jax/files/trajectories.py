@@ -64,6 +64,19 @@ def trajectory_file(
         scope=scope,
         stamps=None if stamps is None else (own, stamps[order]),
         how="default sigmas, of each step",
+        notes=_backwards(stamps[order], line) if stamps is not None else (),
+    )
+
+
+def _backwards(stamps: Float[np.ndarray, " n"], line: Int[np.ndarray, " n"]) -> tuple[str, ...]:
+    """A line on times that run backwards: steps are taken in the order of poses."""
+    back = np.flatnonzero(np.diff(stamps) < 0.0)
+    if not back.size:
+        return ()
+    row = int(back[0]) + 1
+    return (
+        f"line {line[row]}: time {stamps[row]:.9g} after {stamps[row - 1]:.9g}; a step goes from"
+        " each pose to the next one all the same",
     )
 
 

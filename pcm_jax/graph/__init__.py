@@ -4,6 +4,7 @@ checked         poses, measurements and uncertainty as users may pass them
 validation      the checks themselves, which name their first culprit
 unsaid          information that lacks directions: its rank, and what is left unsaid
 symbols         GTSAM's symbol keys
+_printed        how finely measurements were printed
 copies          measurements that are stated more than once
 priors          `Priors`: poses that were measured by themselves
 spanning_tree   poses by composing measurements along a tree; connectedness

@@ -123,6 +123,42 @@ def test_information_read_as_covariances_is_told(account):
     assert "(--information as-written)" in told.doubts[0][0]
 
 
+def lines_of(letter, information=FLAT, step=1.0):
+    ids = [key(f"{letter}{k}") for k in range(4)]
+    return [flat(a, b, step, information=information) for a, b in pairwise(ids)]
+
+
+def test_a_reading_that_spoils_another_robots_file_is_not_proposed(account):
+    """All files are read alike: --information covariance would mend b's and spoil a's."""
+    told = account(lines_of("a"), lines_of("b", "0.0004 0 0 0.0004 0 0.0001"))[1]
+    line = next(line for line in told.warnings() if "robot b" in line)
+    assert "read as covariances they are 0.02 m and 0.01 rad, but so robot a's cannot" in line
+    assert "--information" not in line
+
+
+def test_covariances_of_closures_alone(account):
+    row = "a,0,b,1,1,0,0,0.0004,0,0,0.0004,0,0.0001"
+    told = account(lines_of("a"), lines_of("b"), closures=[row])[1]
+    line = next(line for line in told.warnings() if line.startswith("closures"))
+    assert "a CSV may call its columns cov_11" in line and "--information" not in line
+
+
+def test_units(account):
+    """One robot's file is in millimetres, or the closures are."""
+    told = account(lines_of("a"), lines_of("b", step=1000.0))[1]
+    assert any("robot b: its steps of 1e+03 m are 1e+03 times" in line for line in told.warnings())
+    row = f"a,0,b,1,1500,200,0,{FLAT.replace(' ', ',')}"
+    told = account(lines_of("a"), lines_of("b"), closures=[row])[1]
+    assert any("maps of 3 m cannot be meant; are they in" in line for line in told.warnings())
+
+
+def test_quaternions_that_begin_with_w(account):
+    """Steps that hardly turn become half turns about x."""
+    lines = [f"EDGE_SE3:QUAT {k} {k + 1} 1 0 0 0.9999 0 0 0.0141 {SOLID}" for k in range(3)]
+    told = account(chain(range(4)), lines)[1]
+    assert any("robot b: its steps turn by 3.11 rad; is" in line for line in told.warnings())
+
+
 def test_honest_information_is_not_doubted(account):
     _, told = account(covariances(FLAT))
     assert not told.doubts
@@ -332,6 +368,17 @@ def test_robots_by_name_number_or_letter(account, names, called, robots):
     assert [graph.closures.robot_a[0], graph.closures.robot_b[0]] == robots
 
 
+@pytest.mark.parametrize(
+    ("names", "called"), [(("beta", "alpha"), "a"), (("alpha", "delta", "bravo"), "b")]
+)
+def test_letters_that_are_other_robots_initials(account, names, called):
+    """In the order of the files a is beta, but who says a means alpha."""
+    maps = [chain(range(2), flat)] * len(names)
+    row = f"{called},0,{names[-1] if called == 'a' else names[0]},1,1,0,0"
+    with pytest.raises(FileFormatError, match=rf"robot '{called}' may mean \w+ or \w+, expected"):
+        account(*maps, closures=[row], names=names)
+
+
 def test_ambiguous_numbers(account):
     csv = [f"1,0,robot3,2,0,2,0,0,0,0,1,{SOLID.replace(' ', ',')}"]
     with pytest.raises(FileFormatError, match="robot '1' may mean robot1 or robot2"):
@@ -385,6 +432,19 @@ def test_a_candidate_from_a_pose_to_itself(account):
     graph, told = account(*PLAIN[:1] * 2, closures=[f"a,0,b,1,{rest}", f"a,1,a,1,{rest}"])
     assert len(graph.closures) == 1
     assert "1 candidates from a pose to itself left out" in told.notes[0]
+
+
+def test_a_candidate_from_a_pose_to_itself_in_a_graph_file(write):
+    """Left out of candidates; of a map it is an error that calls the pose by its name."""
+    maps = [write(flat(key(f"{x}0"), key(f"{x}1"), 1), name=f"{x}.g2o") for x in "ab"]
+    lines = [flat(key("a1"), key("a1"), 0), flat(key("a1"), key("b1"), 2)]
+    with pytest.warns(InputWarning, match=r"c.g2o: 1 candidates from a pose to itself left out"):
+        graph = read_graph(*maps, closures=write(*lines, name="c.g2o"))
+    assert len(graph.closures) == 1
+    with pytest.raises(FileFormatError, match=r"c.g2o:1: edge from pose a1 to itself"):
+        read_graph(*maps, write(*lines, name="c.g2o"))
+    with pytest.warns(InputWarning, match=r"1 candidates from a pose to itself left out"):
+        assert len(read_candidates(write(*lines, name="c.g2o"), graph)) == 1
 
 
 def test_bad_candidates_on_request(account):
@@ -441,3 +501,13 @@ def test_candidates_between_maps_in_memory(write, account):
     assert (more.pose_a.tolist(), more.pose_b.tolist()) == ([0, 2], [0, 2])
     with pytest.raises(FileFormatError, match=r"d.g2o:1: pose 7 is in 0 of the maps, expected in"):
         read_candidates(write(solid(0, 7, 1), name="d.g2o"), graph)
+
+
+def test_candidates_between_maps_in_memory_are_doubted_too(write, account):
+    graph, _ = account(lines_of("a"), lines_of("b"))
+    path = write("id_a,id_b,x,y,theta,note", "a0,b1,1500,200,90,7", name="c.csv")
+    with pytest.warns(InputWarning) as told:
+        read_candidates(path, graph)
+    lines = [str(one.message) for one in told]
+    for part in ("columns left out: note", "theta 90 is more than", "maps of 3 m cannot be meant"):
+        assert any(part in line for line in lines), part

@@ -109,6 +109,29 @@ def test_by_hand(save):
     assert len(a.priors) == 1 and b.priors is None
 
 
+@pytest.mark.filterwarnings("ignore:.*skipped 1 lines")
+def test_other_writers(save):
+    """Values by their keys, as the format's description has them; covariances row by row."""
+    data = dataset()
+    for name, other in (("initialization", "initialization"), ("groundtruth", "ground_truth")):
+        values = data.pop(name)
+        data[other] = {
+            robot: {str(one["key"]): {k: v for k, v in one.items() if k != "key"} for one in own}
+            for robot, own in values.items()
+        }
+    factor = data["measurements"]["a"][1]["measurements"][1]
+    factor["covariance"] = np.reshape(factor["covariance"], (6, 6)).tolist()
+    given, expected = read_graph(save(data)), read_graph(save(dataset(), "plain.jrl"))
+    for one, two in zip(given.maps, expected.maps, strict=True):
+        np.testing.assert_array_equal(one.poses.wxyz_xyz, two.poses.wxyz_xyz)
+    for one, two in zip(given.truth, expected.truth, strict=True):
+        np.testing.assert_array_equal(one.wxyz_xyz, two.wxyz_xyz)
+    np.testing.assert_array_equal(given.closures.information, expected.closures.information)
+    data["initialization"]["a"]["one"] = {"type": "Pose3"}
+    with pytest.raises(FileFormatError, match=r"initialization.a.one: .*expected an integer"):
+        read_graph(save(data))
+
+
 @pytest.mark.parametrize("names", [("a", "b"), ("left", "right")])
 def test_there_and_back(tmp_path, make_robots, assert_same, group, names):
     graph = make_robots(group, names)

@@ -72,6 +72,18 @@ def test_uncertain_edges_are_the_candidates(save, poses):
     np.testing.assert_allclose(graph.closures.weight, 0.5)
 
 
+def test_clouds_that_do_not_overlap(save, poses):
+    """A registration that failed leaves a candidate with information of zero: it says nothing."""
+    edges = [edge(k, k + 1, poses) for k in range(5)]
+    edges.insert(2, {**edge(5, 0, poses, True), "information": [0.0] * 36})
+    with pytest.warns(UserWarning, match=r"skipped 1 lines \(1 edge without information\)"):
+        graph = read_graph(save(edges))
+    assert graph.maps[0].num_edges == 5
+    edges[2]["uncertain"] = False
+    with pytest.raises(FileFormatError, match="information is not positive definite"):
+        read_graph(save(edges))
+
+
 def test_there_and_back(tmp_path, make_robots):
     graph = make_robots(jaxlie.SE3)
     write_graph(tmp_path / "ab.json", graph)

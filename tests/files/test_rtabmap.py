@@ -85,3 +85,62 @@ def test_a_link_without_a_transform(base):
     made.close()
     with pytest.raises(FileFormatError, match="link 6-3: expected 36 doubles and 12 floats"):
         read_graph(base)
+
+
+def earlier(path, columns, values):
+    """A database of an earlier version: links with other columns in place of the information."""
+    with sqlite3.connect(path) as made:
+        made.execute("CREATE TABLE Node (id INTEGER PRIMARY KEY, map_id INTEGER, pose BLOB)")
+        names = "".join(f", {name} FLOAT" for name in columns)
+        made.execute(
+            f"CREATE TABLE Link (from_id INTEGER, to_id INTEGER, type INTEGER{names},"
+            " transform BLOB)"
+        )
+        for node in range(1, 5):
+            made.execute("INSERT INTO Node VALUES (?, ?, ?)", (node, int(node > 2), blob(node)))
+        marks = ", ".join("?" * (4 + len(columns)))
+        for first, second, kind in ((1, 2, 0), (3, 4, 0), (4, 1, 1)):
+            row = (first, second, kind, *values, blob(1.0))
+            made.execute(f"INSERT INTO Link VALUES ({marks})", row)
+    made.close()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("columns", "values", "sigmas"),
+    [
+        (("rot_variance", "trans_variance"), (0.0025, 0.01), None),
+        (("variance",), (0.01,), None),
+        ((), (), (0.1, 0.05)),
+    ],
+)
+def test_earlier_versions(tmp_path, columns, values, sigmas):
+    path = earlier(tmp_path / "old.db", columns, values)
+    graph = read_graph(path, default_sigmas=sigmas)
+    turn = 100.0 if columns == ("variance",) else 400.0
+    expected = np.diag([100.0] * 3 + [turn] * 3)
+    np.testing.assert_allclose(graph.maps[0].information[0], expected, rtol=1e-12)
+    np.testing.assert_allclose(graph.closures.information[0], expected, rtol=1e-12)
+    assert graph.maps[0].stamps is None
+
+
+def test_earlier_versions_that_say_too_little(tmp_path):
+    with pytest.raises(FileFormatError, match=r"links without information; give default_sigmas"):
+        read_graph(earlier(tmp_path / "none.db", (), ()))
+    with pytest.raises(FileFormatError, match=r"link 1-2: expected 36 doubles or positive var"):
+        read_graph(earlier(tmp_path / "zero.db", ("variance",), (0.0,)))
+
+
+def test_nodes_and_links_that_hold_nothing(base):
+    """A node that nothing joins, and links that were found by appearance alone."""
+    with sqlite3.connect(base) as made:
+        made.execute("INSERT INTO Node VALUES (9, 1, 0, 1009, ?, NULL)", (blob(9.0),))
+        weight = INFORMATION.tobytes()
+        for transform in (None, bytes(48)):
+            made.execute("INSERT INTO Link VALUES (5, 2, 1, ?, ?)", (weight, transform))
+    made.close()
+    left = r"skipped 4 lines \(2 link without a transform, 1 node without a link, 1 landmark\)"
+    with pytest.warns(UserWarning, match=left):
+        graph = read_graph(base)
+    assert [one.num_poses for one in graph.maps] == [3, 3]
+    assert len(graph.closures) == 2

@@ -1,11 +1,14 @@
 """Measurements that are stated twice, from either end, with either reading of the information."""
 
+import jaxlie
 import numpy as np
 import pytest
 
 from pcm_jax import lie
+from pcm_jax.files import coordinates
 from pcm_jax.graph import LoopClosures
 from pcm_jax.graph.copies import first_copies
+from pcm_jax.graph.validation import argument_fault
 
 
 def stated(group, count=4, seed=0):
@@ -59,6 +62,60 @@ def test_printed_to_six_digits(group):
         for some in ((ends, measurement, information), other)
     ]
     assert first_copies(*joined(*rounded)).tolist() == [0, 1, 2, 3, 0, 1, 2, 3]
+
+
+def printed(transforms, form):
+    """The transforms that a file's columns of that form would be read as."""
+    columns = coordinates.columns(np.asarray(lie.parameters(transforms)))
+    rounded = np.array([float(form % x) for x in columns.ravel()]).reshape(columns.shape)
+    kind = "angle" if columns.shape[1] == 3 else "quaternion"
+    group = type(transforms)
+    return lie.as_numpy(group(coordinates.parameters(kind, rounded, argument_fault("z"))))
+
+
+@pytest.mark.parametrize("form", ["%.3f", "%.4f", "%.5f", "%.6g", "%.9f"])
+@pytest.mark.filterwarnings("ignore::pcm_jax.InputWarning")  # 3 digits of a quaternion
+def test_rounded_numbers_are_copies(group, form):
+    """Of one pair of poses each; one program prints all digits, the others a few."""
+    ends, measurement, information = stated(group, 500)
+    ends = ends + np.arange(500)[:, None] * [0, 1, 0, 0]
+    back, other, carried = inverted(ends, measurement, information)
+    few = (ends, printed(measurement, form), information)
+    turned = (back, printed(other, form), carried)
+    whole = (ends, measurement, information)
+    for one, two in ((whole, few), (few, turned), (whole, turned)):
+        assert (first_copies(*joined(one, two))[500:] == np.arange(500)).mean() > 0.99
+
+
+@pytest.mark.parametrize("form", ["%.3f", "%.6g"])
+@pytest.mark.filterwarnings("ignore::pcm_jax.InputWarning")
+def test_measurements_made_twice_are_two_however_few_digits_they_have(group, form):
+    ends, measurement, information = stated(group, 500)
+    ends = ends + np.arange(500)[:, None] * [0, 1, 0, 0]
+    noise = 0.02 * np.random.default_rng(1).normal(size=(500, lie.tangent_dim(group)))
+    again = lie.compose(measurement, lie.exp(group, noise))
+    back, other, carried = inverted(ends, again, information)
+    few = (ends, printed(measurement, form), information)
+    for two in ((ends, printed(again, form), information), (back, printed(other, form), carried)):
+        assert (first_copies(*joined(few, two))[500:] == np.arange(500)).mean() < 0.01
+
+
+def test_short_numbers_are_exact():
+    """1 and 1.0004 are two measurements: 1 need not be rounded."""
+    ends = np.tile([0, 3, 1, 5], (3, 1))
+    poses = jaxlie.SE2(np.array([[1.0, 0.0, x, 2.0] for x in (1.0, 1.0004, 1.0005)]))
+    found = first_copies(ends, lie.as_numpy(poses), np.tile(np.eye(3), (3, 1, 1)))
+    assert found.tolist() == [0, 1, 2]
+
+
+def test_assumed_information_agrees_with_any(group):
+    """And the measurement whose information was stated is the one that stays."""
+    ends, measurement, information = stated(group, 3)
+    other = np.tile(7.0 * np.eye(information.shape[-1]), (3, 1, 1))
+    both = joined((ends, measurement, other), (ends, measurement, information))
+    assumed = np.array([True, True, False, False, False, False])
+    assert first_copies(*both, assumed).tolist() == [3, 4, 2, 3, 4, 5]
+    assert first_copies(*both).tolist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_other_poses_and_other_numbers_are_others(group):

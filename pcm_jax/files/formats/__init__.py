@@ -7,6 +7,7 @@ _priors         the reader of lines that measure one pose
 _annotations    scores in comments, times in folders beside the file
 g2o             pose graphs as g2o, and their writer
 toro, isam      the older text formats of pose graphs
+_uncertainty    columns that state a measurement's uncertainty
 candidates      candidate closures as CSV
 tum             trajectories: TUM, KITTI, EuRoC
 named_poses     trajectories as CSV with column names

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from jaxtyping import Bool
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import coordinates
@@ -37,19 +38,26 @@ def read_tagged(source: Source, reading: Reading) -> PoseFile:
     path, lines = source.path, source.lines
     rows, comments = rows_by_tag(path, lines)
     known = _known_tags(path, rows, reading.format)
-    bare = {tag for tag, found in known.items() if _is_bare(TAGS[tag], found)}
+    bare = {
+        tag: some
+        for tag, found in known.items()
+        if (some := _bare(TAGS[tag], found, len(lines))).any()
+    }
     for tag, found in known.items():
-        width = TAGS[tag].width - TAGS[tag].triangle * (tag in bare)
-        found.check_width(width, TAGS[tag].layout, len(lines))
+        whole = found[~bare[tag]] if tag in bare else found
+        whole.check_width(TAGS[tag].width, TAGS[tag].layout, len(lines))
     toro = reading.format == "toro" or any(tag.startswith("VERTEX") for tag in known)
     vertices = [_read_tag(TAGS[tag], found) for tag, found in known.items() if not TAGS[tag].edge]
-    edges = [
-        _read_bare(TAGS[tag], found, reading)
-        if tag in bare
-        else _read_edges(TAGS[tag], found, reading, toro)
-        for tag, found in known.items()
-        if TAGS[tag].edge
-    ]
+    edges = []
+    for tag, found in known.items():
+        if not TAGS[tag].edge:
+            continue
+        whole = found
+        if tag in bare:
+            edges.append(_read_bare(TAGS[tag], found[bare[tag]], reading))
+            whole = found[~bare[tag]]
+        if len(whole):
+            edges.append(_read_edges(TAGS[tag], whole, reading, toro))
     group = TAGS[next(iter(known))].group
     measured, clipped = checked(path, in_order(group, edges, 2), reading.repair)
     weight = scores(path, lines, comments, measured.line)
@@ -72,10 +80,23 @@ def read_tagged(source: Source, reading: Reading) -> PoseFile:
         clipped,
         format=_format_of(known),
         left_out={tag: count for tag, count in left_out.items() if count},
+        notes=_angle_doubts(known),
         priors=in_order(group, priors, 1) if priors else None,
         stamps=keyframe_stamps(path),
         how=f"{reading.information}{'; default sigmas' if bare else ''}",
     )
+
+
+def _angle_doubts(known: dict[str, Rows]) -> list[str]:
+    """A line on the measured angles of each tag that are no radians."""
+    doubts = []
+    for tag, rows in known.items():
+        kind = TAGS[tag]
+        if kind.edge and kind.coordinates != "quaternion":
+            first = kind.start + coordinates.FIRST_ANGLE[kind.coordinates]
+            angles = rows.floats(first, kind.start + len(COLUMNS[kind.coordinates]))
+            doubts.append(coordinates.angle_doubt(kind.coordinates, angles, rows.line))
+    return [doubt for doubt in doubts if doubt is not None]
 
 
 def _format_of(known: dict[str, Rows]) -> str:
@@ -84,9 +105,13 @@ def _format_of(known: dict[str, Rows]) -> str:
     return next((name for name in names[0] if all(name in some for some in names)), names[0][0])
 
 
-def _is_bare(tag: Tag, rows: Rows) -> bool:
-    """True if every line of a tag ends where its information would begin."""
-    return tag.edge and bool((rows.widths == tag.width - tag.triangle).all())
+def _bare(tag: Tag, rows: Rows, last_line: int) -> Bool[np.ndarray, " n"]:
+    """Marks the lines of a tag that end where their information would begin.
+
+    Where others have information, the last line of a file without a newline is one cut short.
+    """
+    short = (rows.widths == tag.width - tag.triangle) & tag.edge
+    return short & (short.all() | (rows.line != last_line))
 
 
 def _read_bare(tag: Tag, rows: Rows, reading: Reading) -> Lines:

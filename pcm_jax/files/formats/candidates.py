@@ -1,4 +1,4 @@
-"""Candidate loop closures as CSV, with commas, semicolons or tabs between the columns.
+"""Candidate loop closures as CSV, with commas, semicolons, tabs or blanks between the columns.
 
 Without a line of column names: `robot_a, id_a, robot_b, id_b`, then the pose of b seen from a as
 `x, y, theta` or `x, y, z, qx, qy, qz, qw`, then nothing, one standard deviation per tangent
@@ -6,8 +6,11 @@ direction (3 or 6), or the upper triangle of the information row by row (6 or 21
 (translation, rotation) in metres and radians.
 
 Where the first line has names, they decide: `NAMES` lists what columns are called, in any order
-(`robot1, pose1, robot2, pose2, qx, qy, qz, qw, tx, ty, tz, inliers` are Kimera-Multi's), and
-columns of other names are left out. An id may be text, "a12", which names the robot as well.
+(`robot1, pose1, robot2, pose2, qx, qy, qz, qw, tx, ty, tz, inliers` are Kimera-Multi's,
+`robot_src, pose_src, robot_dst, pose_dst, …, kappa, tau` DPGO's), rotations in space may be roll,
+pitch and yaw, `_uncertainty` says how columns of standard deviations, covariances and information
+are called, and columns of other names are left out. An id may be text, "a12", which names the robot
+as well.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
@@ -25,6 +29,7 @@ from pcm_jax import lie
 from pcm_jax.files import coordinates
 from pcm_jax.files.formats._registry import Format, register
 from pcm_jax.files.formats._tags import COLUMNS
+from pcm_jax.files.formats._uncertainty import entry_of, positive, stated
 from pcm_jax.files.output import write_text
 from pcm_jax.files.pose_file import (
     FALSE,
@@ -41,17 +46,29 @@ from pcm_jax.files.text import Rows, csv_rows, delimiter_of
 from pcm_jax.graph.multi_robot import MultiRobotGraph
 from pcm_jax.graph.validation import raise_first
 
-SMALLEST_SIGMA = 1e-30  # so that its information still is a number
 ENDS = ("robot_a", "id_a", "robot_b", "id_b")
 NAMES = {
-    "robot_a": ("robot_a", "robot1", "robot_from", "robot_id_a", "robot_i", "r1"),
-    "id_a": ("id_a", "pose1", "pose_a", "key1", "key_a", "key_from", "id1", "from", "i"),
-    "robot_b": ("robot_b", "robot2", "robot_to", "robot_id_b", "robot_j", "r2"),
-    "id_b": ("id_b", "pose2", "pose_b", "key2", "key_b", "key_to", "id2", "to", "j"),
+    "robot_a": ("robot_a", "robot1", "robot_from", "robot_id_a", "robot_i", "r1", "robot_src"),
+    "id_a": (
+        "id_a",
+        "pose1",
+        "pose_a",
+        "key1",
+        "key_a",
+        "key_from",
+        "id1",
+        "from",
+        "i",
+        "pose_src",
+    ),
+    "robot_b": ("robot_b", "robot2", "robot_to", "robot_id_b", "robot_j", "r2", "robot_dst"),
+    "id_b": ("id_b", "pose2", "pose_b", "key2", "key_b", "key_to", "id2", "to", "j", "pose_dst"),
     "x": ("x", "tx", "px"),
     "y": ("y", "ty", "py"),
     "z": ("z", "tz", "pz"),
     "theta": ("theta", "yaw"),
+    "roll": ("roll",),
+    "pitch": ("pitch",),
     "qx": ("qx",),
     "qy": ("qy",),
     "qz": ("qz",),
@@ -60,8 +77,8 @@ NAMES = {
     "is_true": ("is_true",),
 }
 _OF = {name: column for column, names in NAMES.items() for name in names}
-_INFORMATION = re.compile(r"information_?[1-6][1-6]")
-_SIGMA = re.compile(r"(sigma|std|s)_?(x|y|z|theta|roll|pitch|yaw|[1-6])")
+_ID = re.compile(r"-?\d+")
+_NUMBER = re.compile(r"[-+.\d]")
 _TEXT_ID = re.compile(r"([A-Za-z])(\d+)")
 _WIDTHS = {4 + k + extra for k, d in ((3, 3), (7, 6)) for extra in (0, d, d * (d + 1) // 2)}
 
@@ -74,13 +91,19 @@ def looks_like_candidates(source: Source) -> float:
     mark = delimiter_of(line)
     if mark is None or line.startswith(("{", "[", "<")):
         return 0.0
-    words = [word.strip().strip('"') for word in line.split(mark)]
+    words = [
+        word.strip().strip('"') for word in line.rstrip(mark).split(None if mark == " " else mark)
+    ]
     known = [_OF.get(word.lower()) for word in words]
     if "id_a" in known and "id_b" in known:
         return 1.0
-    if len(words) < 7 or not all(re.fullmatch(r"-?\d+", word) for word in (words[1], words[3])):
+    ids = len(words) >= 7 and all(_ID.fullmatch(word) for word in (words[1], words[3]))
+    whole = ids and len(words) in _WIDTHS
+    if mark == " ":  # lines of other formats begin with a tag, or hold numbers alone
+        return 0.5 * (whole and not any(_NUMBER.match(word) for word in (words[0], words[2])))
+    if not ids:
         return 0.1 * (len(words) > 4)
-    return 0.8 if len(words) in _WIDTHS and not words[0].isdigit() else 0.4
+    return 0.8 if whole and not words[0].isdigit() else 0.4
 
 
 def read_candidates(source: Source, reading: Reading) -> PoseFile:
@@ -93,7 +116,10 @@ def read_candidates(source: Source, reading: Reading) -> PoseFile:
         InputWarning: for quaternions further than 1e-3 from unit length.
     """
     rows = csv_rows(source.path, source.lines)
-    header = [word.lower() for word in rows.first] if _is_header(rows) else None
+    header = [word.lower() for word in rows.first] if _is_header(rows.first) else None
+    told = source.comment_before(rows.line[0]) if header is None and len(rows) else None
+    if told is not None and _is_header(told) and len(told) == len(rows.first):
+        rows, header = rows.under(told), [word.lower() for word in told]
     group = reading.group or _group_of(rows, header)
     standard = (*ENDS, *COLUMNS["angle" if group is jaxlie.SE2 else "quaternion"])
     if header is not None and tuple(header) == standard:
@@ -146,28 +172,37 @@ def _file(
     )
 
 
-def _is_header(rows: Rows) -> bool:
-    known = [word for word in rows.first if word.lower() in _OF]
-    return len(known) >= 4
+def _is_header(words: Sequence[str]) -> bool:
+    return sum(word.lower() in _OF for word in words) >= 4
 
 
 def _group_of(rows: Rows, header: list[str] | None) -> type[Any]:
     if header is not None:
-        return jaxlie.SE2 if "theta" in {_OF.get(name) for name in header} else jaxlie.SE3
+        known = {_OF.get(name) for name in header}
+        return jaxlie.SE2 if "theta" in known and "z" not in known else jaxlie.SE3
     return jaxlie.SE2 if len(rows.first) in (7, 10, 13) else jaxlie.SE3
+
+
+def _coordinate_of(group: type[Any], header: list[str] | None) -> str:
+    """The kind of coordinates, key of `COLUMNS`."""
+    if group is jaxlie.SE2:
+        return "angle"
+    known = {_OF.get(name) for name in header or ()}
+    return "euler" if {"roll", "pitch", "theta"} <= known and "qw" not in known else "quaternion"
 
 
 class _Columns:
     """Places of the columns: by their names, or where they should be."""
 
     def __init__(self, rows: Rows, header: list[str] | None, group: type[Any]) -> None:
-        self.coordinate = "angle" if group is jaxlie.SE2 else "quaternion"
+        self.coordinate = _coordinate_of(group, header)
         self.measured, self.d = COLUMNS[self.coordinate], lie.tangent_dim(group)
         self.standard = (*ENDS, *self.measured)
         self.width = len(rows.first)
         self.left_out: list[str] = []
         self.at = {name: index for index, name in enumerate(self.standard)}
         self.uncertainty = list(range(len(self.standard), self.width))
+        self.entries: list[Any] = []  # what the columns of uncertainty state, if their names say so
         if header is not None:
             self._by_name(rows, header)
 
@@ -176,6 +211,8 @@ class _Columns:
         for index, name in enumerate(header):
             if name in _OF:
                 self.at.setdefault(_OF[name], index)
+        if self.coordinate == "euler":
+            self.at["yaw"] = self.at.pop("theta")
         missing = [name for name in ("id_a", "id_b", *self.measured) if name not in self.at]
         if missing:
             raise rows.fault(
@@ -184,19 +221,23 @@ class _Columns:
                 f" ({missing[0]} is missing)",
             )
         rest = [index for index, name in enumerate(header) if name not in _OF]
-        stated = [
-            k for k in rest if _INFORMATION.fullmatch(header[k]) or _SIGMA.fullmatch(header[k])
-        ]
+        entries = {k: entry for k in rest if (entry := entry_of(header[k], self.d)) is not None}
         in_place = tuple(_OF.get(name) for name in header[: len(self.standard)]) == self.standard
         whole = (self.d, self.d * (self.d + 1) // 2)
-        self.uncertainty = rest if in_place and len(rest) in whole and not stated else stated
+        positional = in_place and len(rest) in whole and not entries
+        named = [rows.first[k] for k in rest if header[k].startswith(("cov", "var"))]
+        if positional and named:
+            raise rows.fault(0, f"column {named[0][:40]!r} given, expected names as cov_11, cov_xy")
+        self.uncertainty = rest if positional else list(entries)
+        self.entries = list(entries.values())
         self.left_out = [rows.first[k] for k in rest if k not in self.uncertainty]
 
     def check(self, rows: Rows) -> None:
         """Every row has the first one's columns, and these are as many as they may be."""
         allowed = (0, self.d, self.d * (self.d + 1) // 2)
         expected = ",".join(self.standard)
-        if len(self.uncertainty) not in allowed or self.width < len(self.at):
+        known = bool(self.entries) or len(self.uncertainty) in allowed
+        if not known or self.width < len(self.at):
             raise rows.fault(
                 0,
                 f"{self.width} columns, expected {expected} and {allowed[0]}, {allowed[1]}"
@@ -238,14 +279,9 @@ def _ends(rows: Rows, columns: _Columns) -> tuple[np.ndarray | None, np.ndarray]
 def _transforms(rows: Rows, columns: _Columns) -> tuple[np.ndarray, tuple[str, ...]]:
     values = columns.floats(rows, columns.measured)
     transforms = coordinates.parameters(columns.coordinate, values, rows.fault)
-    notes: tuple[str, ...] = ()
-    if columns.coordinate == "angle" and np.abs(values[:, 2]).max(initial=0.0) > 2.0 * np.pi:
-        row = int(np.argmax(np.abs(values[:, 2])))
-        notes = (
-            f"line {rows.line[row]}: theta {values[row, 2]:g} is more than a turn, expected radians"
-            " (degrees?)",
-        )
-    return transforms, notes
+    angles = values[:, coordinates.FIRST_ANGLE.get(columns.coordinate, 0) :]
+    doubt = coordinates.angle_doubt(columns.coordinate, angles, rows.line)
+    return transforms, () if doubt is None else (doubt,)
 
 
 def _information(rows: Rows, columns: _Columns, reading: Reading) -> tuple[np.ndarray, bool, str]:
@@ -256,16 +292,12 @@ def _information(rows: Rows, columns: _Columns, reading: Reading) -> tuple[np.nd
         if default is None:
             return np.zeros((len(rows), d, d)), True, "none given: the maps' median"
         return np.tile(default, (len(rows), 1, 1)), False, "none given: default sigmas"
+    if columns.entries:
+        information, how = stated(rows, given, columns.entries, d, reading.information)
+        return information, False, how
     values = np.concatenate([rows.floats(index, index + 1) for index in given], axis=1)
     if len(given) == d:
-        wrong = values < SMALLEST_SIGMA
-        raise_first(
-            wrong.any(axis=1),
-            rows.fault,
-            lambda row: (
-                f"{values[row][wrong[row]][0]:g} given, expected a standard deviation above 0"
-            ),
-        )
+        positive(values, rows, "a standard deviation")
         return (values**-2.0)[:, :, None] * np.eye(d), False, "standard deviations"
     information = coordinates.information(values, how=reading.information, fault=rows.fault)
     return information, False, reading.information

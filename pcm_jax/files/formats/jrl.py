@@ -9,7 +9,7 @@ entries of one time; `potential_outlier_factors` names the loop closures by entr
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -85,14 +85,14 @@ def read_jrl(source: Source, reading: Reading) -> PoseFile:
     return PoseFile(
         source.path,
         group,
-        _values(whole, "initialization", group) or no_lines(group, 1),
+        _values(whole, ("initialization",), group) or no_lines(group, 1),
         edges,
         clipped=clipped,
         format="jrl",
         left_out=left_out,
         priors=_lines(source.path, alone, group, {}) if alone else None,
         stamps=_stamps(factors),
-        truth=_values(whole, "groundtruth", group),
+        truth=_values(whole, ("groundtruth", "ground_truth"), group),
         how="covariances, rotation first",
         comments=[one.text() for one in whole.at("pcm_jax").list()] if whole.has("pcm_jax") else (),
     )
@@ -163,7 +163,7 @@ def _lines(
     transforms = _transforms([factor.pose for factor in factors], group)
     order = np.array(_ORDER[lie.tangent_dim(group)])
     d = len(order)
-    covariance = np.array([factor.covariance.numbers(d * d) for factor in factors])
+    covariance = np.array([factor.covariance.matrix(d) for factor in factors])
     covariance = covariance.reshape(-1, d, d)[:, order[:, None], order]
     line = np.array([factor.number for factor in factors], np.int64)
     fault = line_fault(path, line)
@@ -195,14 +195,24 @@ def _fault_of(poses: list[Member]) -> Any:
     return lambda row, problem: poses[row].fault(problem.replace("x y z qx qy qz qw", "w x y z"))
 
 
-def _values(whole: Member, name: str, group: Any) -> Lines | None:
-    """Poses by key, without landmarks and the like; None where there are none."""
-    if not whole.has(name) or whole.at(name).value is None:
+def _values(whole: Member, names: Sequence[str], group: Any) -> Lines | None:
+    """Poses by key, without landmarks and the like; None where there are none.
+
+    They stand in a list, each with its key, or by their keys.
+    """
+    name = next((name for name in names if whole.has(name)), None)
+    if name is None or whole.at(name).value is None:
         return None
     kind = "Pose2" if group is jaxlie.SE2 else "Pose3"
-    listed = [one for _, values in whole.at(name).items() for one in values.list()]
-    chosen = [one for one in listed if one.at("type").value == kind]
-    ids = np.array([one.at("key").integer() for one in chosen], np.int64)
+    listed: list[tuple[Member, Member]] = []
+    for _, values in whole.at(name).items():
+        if isinstance(values.value, dict):
+            listed += [(values.key(text), one) for text, one in values.items()]
+        elif values.value is not None:
+            listed += [(one.at("key"), one) for one in values.list()]
+    listed = [(key, one) for key, one in listed if one.at("type").value == kind]
+    chosen = [one for _, one in listed]
+    ids = np.array([key.integer() for key, _ in listed], np.int64)
     own = symbols.indices_of(ids) < POSES
     d = lie.tangent_dim(group)
     lines = Lines(

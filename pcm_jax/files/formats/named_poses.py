@@ -31,6 +31,8 @@ NAMES = {
     "y": ("y", "ty", "py"),
     "z": ("z", "tz", "pz"),
     "theta": ("theta", "yaw"),
+    "roll": ("roll",),
+    "pitch": ("pitch",),
     **{name: (name,) for name in ("qx", "qy", "qz", "qw")},
 }
 _OF = {name: column for column, names in NAMES.items() for name in names}
@@ -69,10 +71,12 @@ def _read(source: Source, reading: Reading) -> PoseFile:
     rows = rows.rest
     rows.check_width(width, "as many as the first line has names", len(source.lines))
     coordinate = "quaternion" if "qw" in at else "angle"
+    if coordinate == "angle" and {"z", "roll", "pitch"} <= at.keys():
+        coordinate, at = "euler", {**at, "yaw": at["theta"]}
     values = np.concatenate(
         [rows.floats(at[name], at[name] + 1) for name in COLUMNS[coordinate]], axis=1
     )
-    group = jaxlie.SE3 if coordinate == "quaternion" else jaxlie.SE2
+    group = jaxlie.SE2 if coordinate == "angle" else jaxlie.SE3
     poses = lie.as_numpy(group(coordinates.parameters(coordinate, values, rows.fault)))  # type: ignore[arg-type]
     ids = rows.integers(at["id"], at["id"] + 1)[:, 0] if "id" in at else np.arange(len(rows))
     scope = None

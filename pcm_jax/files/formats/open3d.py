@@ -69,8 +69,10 @@ def read_open3d(source: Source, reading: Reading) -> PoseFile:
         np.arange(len(edges)),
         weight=np.array([e.at("confidence").number() if e.has("confidence") else 1 for e in edges]),
     )
-    measured, clipped = checked(source.path, lines, reading.repair)
     uncertain = np.array([bool(e.at("uncertain").value) for e in edges])
+    empty = uncertain & (information == 0.0).all(axis=(1, 2))  # of clouds that do not overlap
+    lines, uncertain = lines[~empty], uncertain[~empty]
+    measured, clipped = checked(source.path, lines, reading.repair)
     file = PoseFile(
         source.path,
         jaxlie.SE3,
@@ -79,6 +81,7 @@ def read_open3d(source: Source, reading: Reading) -> PoseFile:
         clipped=clipped,
         format="open3d",
         how="as written, rotation first",
+        left_out={"edge without information": int(empty.sum())} if empty.any() else {},
     )
     scope = made_scope(["file"], [stem_of(source.path)], kind="one", rule="the file's own")
     certain = dataclasses.replace(file, edges=measured[np.flatnonzero(~uncertain)])

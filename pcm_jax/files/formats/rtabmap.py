@@ -46,34 +46,88 @@ def read_rtabmap(source: Source, reading: Reading) -> PoseFile:
     try:
         address = f"{Path(source.path).absolute().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(address, uri=True)) as base:
-            nodes = _rows(base, source, "Node", ("id", "map_id", "stamp", "pose"))
+            nodes = _rows(base, source, "Node", ("id", "map_id", "pose"))
+            stamps = _optional(base, "Node", "id", "stamp")
             truth = _optional(base, "Node", "id", "ground_truth_pose")
-            columns = ("from_id", "to_id", "type", "information_matrix", "transform")
-            links = _rows(base, source, "Link", columns)
+            links, how = _links(base, source, reading)
     except sqlite3.Error as error:
         raise FileFormatError(source.path, None, f"damaged database: {error}") from None
     known = {row[0] for row in nodes}
     links = [row for row in links if row[0] in known and (row[1] in known or row[2] in KINDS)]
+    lost = [row for row in links if row[4] is None or not any(row[4])]
+    links = [row for row in links if not (row[4] is None or not any(row[4]))]
+    nodes, alone = _linked(nodes, links)
     edges, clipped = _edges(source.path, links, reading)
     if not len(edges) and not nodes:
         raise FileFormatError(source.path, None, "no nodes, expected a map")
     return PoseFile(
         source.path,
         jaxlie.SE3,
-        _poses(source.path, [(row[0], row[3]) for row in nodes]) or no_lines(jaxlie.SE3, 1),
+        _poses(source.path, [(row[0], row[2]) for row in nodes]) or no_lines(jaxlie.SE3, 1),
         edges,
         clipped=clipped,
         format="rtabmap",
         scope=_sessions(nodes),
-        left_out=_left_out(links),
+        left_out=_left_out(links, lost, alone),
         priors=_priors(source.path, links),
-        stamps=(
-            np.array([row[0] for row in nodes], np.int64),
-            np.array([np.nan if row[2] is None else float(row[2]) for row in nodes]),
-        ),
+        stamps=_stamps(stamps),
         truth=_poses(source.path, truth),
-        how="as written, over x, y, z, roll, pitch, yaw",
+        how=how,
     )
+
+
+def _linked(
+    nodes: list[tuple[Any, ...]], links: list[tuple[Any, ...]]
+) -> tuple[list[tuple[Any, ...]], int]:
+    """The nodes that a link joins to another one, and how many there are besides."""
+    joined = {end for row in links if row[2] in (*NEIGHBOURS, *CLOSURES) for end in row[:2]}
+    kept = [row for row in nodes if row[0] in joined] if joined else nodes
+    return kept, len(nodes) - len(kept)
+
+
+def _stamps(rows: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray] | None:
+    if not rows:
+        return None
+    seconds = [np.nan if row[1] is None else float(row[1]) for row in rows]
+    return np.array([row[0] for row in rows], np.int64), np.array(seconds)
+
+
+_UNCERTAINTY = (
+    (("information_matrix",), "as written, over x, y, z, roll, pitch, yaw"),
+    (("trans_variance", "rot_variance"), "variances of translation and rotation"),
+    (("variance",), "one variance of all directions"),
+    ((), "default sigmas"),
+)
+
+
+def _links(
+    base: sqlite3.Connection, source: Source, reading: Reading
+) -> tuple[list[tuple[Any, ...]], str]:
+    """Rows of from_id, to_id, type, 6 × 6 doubles of information, and transform; and how."""
+    found = {row[1] for row in base.execute("PRAGMA table_info(Link)")}
+    columns, how = next(one for one in _UNCERTAINTY if set(one[0]) <= found)
+    rows = _rows(base, source, "Link", ("from_id", "to_id", "type", "transform", *columns))
+    if columns == ("information_matrix",):
+        return [(*row[:3], row[4], row[3]) for row in rows], how
+    if columns:
+        return [(*row[:3], _of_variances(row[4], row[-1]), row[3]) for row in rows], how
+    default = reading.default_information(jaxlie.SE3)
+    if default is None:
+        raise FileFormatError(
+            source.path,
+            None,
+            "links without information; give default_sigmas=(metres, radians) (--default-sigmas M"
+            " RAD)",
+        )
+    return [(*row[:3], default.tobytes(), row[3]) for row in rows], how
+
+
+def _of_variances(translation: Any, rotation: Any) -> bytes | None:
+    """Information as doubles; None where a variance is no positive number."""
+    given = (translation, rotation)
+    if not all(isinstance(one, int | float) and one > 0.0 for one in given):
+        return None
+    return np.diag(1.0 / np.repeat(np.array(given, np.float64), 3)).tobytes()
 
 
 def _rows(
@@ -145,7 +199,11 @@ def _lines(path: str, chosen: list[tuple[int, tuple[Any, ...]]], ends: int) -> L
     for k, (_, row) in enumerate(chosen):
         weight, transform = _blob(row[3], np.float64, 36), _blob(row[4], np.float32, 12)
         if weight is None or transform is None:
-            raise fault(k, f"link {row[0]}-{row[1]}: expected 36 doubles and 12 floats")
+            raise fault(
+                k,
+                f"link {row[0]}-{row[1]}: expected 36 doubles"
+                f"{' or positive variances' * (weight is None)} and 12 floats",
+            )
         information[k] = weight.reshape(6, 6)
         matrices[k, :3] = transform.reshape(3, 4)
     poses = as_transforms(matrices, "transform", fault)
@@ -175,8 +233,11 @@ def _blob(value: Any, dtype: Any, count: int) -> np.ndarray | None:
     return np.frombuffer(value, dtype).astype(np.float64)
 
 
-def _left_out(links: list[tuple[Any, ...]]) -> dict[str, int]:
-    counts: dict[str, int] = {}
+def _left_out(
+    links: list[tuple[Any, ...]], lost: list[tuple[Any, ...]], alone: int
+) -> dict[str, int]:
+    counts = {"link without a transform": len(lost), "node without a link": alone}
+    counts = {kind: count for kind, count in counts.items() if count}
     for row in links:
         if row[2] not in (*NEIGHBOURS, *CLOSURES, PRIOR):
             name = KINDS.get(row[2], f"link of type {row[2]}")

@@ -2,8 +2,8 @@
 
 | format | a line |
 |---|---|
-| TUM | `timestamp x y z qx qy qz qw`, seconds; commas will do |
-| KITTI | the upper 3 × 4 of a homogeneous matrix, row by row |
+| TUM | `timestamp x y z qx qy qz qw`, seconds or nanoseconds; commas will do |
+| KITTI | the upper 3 × 4 of a homogeneous matrix, row by row; commas will do |
 | EuRoC | `timestamp, x, y, z, qw, qx, qy, qz, …`, nanoseconds; a comment names the columns |
 | CSV | columns by name, as Kimera-Multi's `robot_index,pose_index,qx,qy,qz,qw,tx,ty,tz` |
 
@@ -14,6 +14,7 @@ say.
 from __future__ import annotations
 
 import dataclasses
+import re
 from os import PathLike
 from typing import Any
 
@@ -35,6 +36,7 @@ from pcm_jax.graph import checked
 from pcm_jax.graph.pose_graph import PoseGraph
 
 COLUMNS = "timestamp x y z qx qy qz qw"
+_NANOSECONDS = 1e14  # stamps above are nanoseconds: as seconds, three million years
 
 
 def read_tum(path: str | PathLike[str]) -> tuple[Float[np.ndarray, " n"], Any]:
@@ -50,16 +52,26 @@ def read_tum(path: str | PathLike[str]) -> tuple[Float[np.ndarray, " n"], Any]:
     Warns:
         InputWarning: for quaternions further than 1e-3 from unit length, which are scaled.
     """
-    rows = _rows(Source(path))
+    source = Source(path)
+    rows = _rows(source)
     if not len(rows):
         raise FileFormatError(path, None, f"no poses, expected lines of {COLUMNS}")
     rows.check_width(8, COLUMNS, int(rows.line[-1]))
-    return _tum(rows)
+    return _tum(rows, _order(source, rows))
 
 
-def _tum(rows: Rows) -> tuple[Float[np.ndarray, " n"], Any]:
-    values = rows.floats(0, 8)
+def _order(source: Source, rows: Rows) -> list[int]:
+    """Places of the columns of `COLUMNS`: a comment above the first row may name w before x."""
+    named = source.comment_before(int(rows.line[0])) if len(rows) else None
+    last = [re.sub(r"[^a-z]", "", word.lower())[-1:] for word in (named or [])[-4:]]
+    return [0, 1, 2, 3, 5, 6, 7, 4] if last == ["w", "x", "y", "z"] else list(range(8))
+
+
+def _tum(rows: Rows, order: list[int]) -> tuple[Float[np.ndarray, " n"], Any]:
+    values = rows.floats(0, 8)[:, order]
     parameters = coordinates.parameters("quaternion", values[:, 1:], rows.fault)
+    if len(values) and values[0, 0] >= _NANOSECONDS:
+        values[:, 0] *= 1e-9
     return values[:, 0], lie.as_numpy(jaxlie.SE3(parameters))  # type: ignore[arg-type]
 
 
@@ -129,9 +141,6 @@ def _in_space(parameters: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 7"]:
     return np.stack([np.cos(half), zero, zero, np.sin(half), x, y, zero], axis=1)
 
 
-_NANOSECONDS = 1e14  # stamps above are nanoseconds: as seconds, three million years
-
-
 def _numbers(source: Source) -> list[float] | None:
     """The first row's numbers, None where something else stands there."""
     if not source.head:
@@ -144,12 +153,14 @@ def _numbers(source: Source) -> list[float] | None:
 
 def _is_tum(source: Source) -> float:
     first = _numbers(source)
-    return 0.9 * (first is not None and len(first) == 8 and first[0] < _NANOSECONDS)
+    if first is None or len(first) != 8:
+        return 0.0
+    return 0.9 * (first[0] < _NANOSECONDS or "," not in source.head[0][1])
 
 
 def _is_kitti(source: Source) -> float:
     first = _numbers(source)
-    return 0.9 * (first is not None and len(first) == 12 and "," not in source.head[0][1])
+    return 0.9 * (first is not None and len(first) == 12)
 
 
 def _is_euroc(source: Source) -> float:
@@ -162,7 +173,7 @@ def _read_tum(source: Source, reading: Reading) -> PoseFile:
     check_sigmas(source.path, source.head[0][0] if source.head else 1, reading)
     rows = _rows(source)
     rows.check_width(8, COLUMNS, len(source.lines))
-    seconds, poses = _tum(rows)
+    seconds, poses = _tum(rows, _order(source, rows))
     return trajectory_file(source.path, "tum", poses, rows.line, reading, stamps=seconds)
 
 
