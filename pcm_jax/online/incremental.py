@@ -89,7 +89,8 @@ class IncrementalPcm:
         started = select(maps, **options)
         self._names = started.method, started.confidence, started.gate
         self._metric, self._seconds = started.evidence.metric, dict(started.evidence.seconds)
-        weighing = started.gate, self._memory_limit(), options.get("metric")
+        metric = options.get("metric") if callable(options.get("metric")) else None
+        weighing = started.gate, self._memory_limit(), metric
         self._state = State.of_maps(maps, started.evidence.covariances, weighing)
         self._identities: Identities | None = None
         self._graph: MultiRobotGraph | None = None
