@@ -119,9 +119,14 @@ def checked_part(
     return part
 
 
-def joined(pose_graph: PoseGraph, part: NewPart, poses: Any) -> PoseGraph:
-    """The map with a new part, whose poses are put there, or None: where its edges put them."""
-    old = lie.as_numpy(pose_graph.poses)
+def with_new(poses: Any, part: NewPart, new: Any = None) -> Any:
+    """A map's poses, and behind them the new ones: those given, or None: where edges put them."""
+    old = lie.as_numpy(poses)
+    return lie.concatenate([old, _placed(old, part) if new is None else new])
+
+
+def joined(pose_graph: PoseGraph, part: NewPart) -> PoseGraph:
+    """The map with a new part."""
     tail, head = (np.concatenate(ends) for ends in _ends(pose_graph, part))
     stamps = pose_graph.stamps
     if stamps is not None or np.isfinite(part.stamps).any():
@@ -129,7 +134,7 @@ def joined(pose_graph: PoseGraph, part: NewPart, poses: Any) -> PoseGraph:
         stamps = np.concatenate([before, part.stamps])
     return dataclasses.replace(
         pose_graph,
-        poses=lie.concatenate([old, _placed(old, part) if poses is None else poses]),
+        poses=with_new(pose_graph.poses, part, part.poses),
         tail=tail,
         head=head,
         measurement=lie.concatenate([lie.as_numpy(pose_graph.measurement), part.measurement]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -79,8 +80,7 @@ class HeldPair:
 
     def copy(self) -> HeldPair:
         """Copies what changes, so that a change can be undone by going on with the copy."""
-        twin = HeldPair(self.robots, self.covariances, self.gate, self._limit, self._metric)
-        twin.__dict__ |= self.__dict__
+        twin = copy.copy(self)
         if self.clique is not None and self._growing is not None:
             twin.clique, twin._growing = self.clique.copy(), self._growing.copy()
         twin.known = dict(self.known)

@@ -39,7 +39,7 @@ from pcm_jax.online._arrivals import (
     check_arrivals,
     check_queue,
 )
-from pcm_jax.online._maps import checked_part, joined, robot_index
+from pcm_jax.online._maps import checked_part, joined, robot_index, with_new
 from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
 from pcm_jax.online._state import State
 from pcm_jax.pipeline.select import select
@@ -89,7 +89,8 @@ class IncrementalPcm:
         started = select(maps, **options)
         self._names = started.method, started.confidence, started.gate
         self._metric, self._seconds = started.evidence.metric, dict(started.evidence.seconds)
-        weighing = started.gate, self._memory_limit(), options.get("metric")
+        metric = options.get("metric") if callable(options.get("metric")) else None
+        weighing = started.gate, self._memory_limit(), metric
         self._state = State.of_maps(maps, started.evidence.covariances, weighing)
         self._identities: Identities | None = None
         self._graph: MultiRobotGraph | None = None
@@ -209,7 +210,8 @@ class IncrementalPcm:
         index = robot_index(robot, self._state.maps.names)
         given, covariance = self._state.maps.maps[index], self._state.covariances[index]
         new = checked_part(given, poses, **part)
-        grown, placed = joined(given, new, new.poses), joined(covariance.pose_graph, new, None)
+        grown = joined(given, new)
+        placed = grown.with_poses(with_new(covariance.pose_graph.poses, new))
         settled = self._options.get("optimized", False)
         odometry = new.is_odometry(given.num_poses) and not (settled and poses is not None)
         if odometry:

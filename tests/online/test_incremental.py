@@ -84,6 +84,7 @@ def test_a_real_set_in_random_order(shared_data):
     "options",
     [
         {"method": "clipper"},
+        {"metric": "mahalanobis"},
         {"method": "jcbb"},
         {"method": "combinatorial", "minimum_inliers": 4},
         {"time_limit": 30.0},
