@@ -78,7 +78,7 @@ class Loops:
         for some in self._portions(v):
             error, parts = self._parts(u[some], v[some])
             total = parts.sum(axis=1)
-            found[some] = np.maximum(*(_form(one, error) for one in (total[:, 0], total[:, 1])))
+            found[some] = np.maximum(*(form(one, error) for one in (total[:, 0], total[:, 1])))
         return np.where(u == v, 0.0, found).reshape(len(rows), len(columns))
 
     def misses(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Misses:
@@ -88,6 +88,17 @@ class Loops:
             for whole, own in zip(found, self._missed(u[some], v[some]), strict=True):
                 whole[some] = own
         return found
+
+    def of_maps(self) -> tuple[Float[np.ndarray, "k k d d"], Float[np.ndarray, "k k d d"]]:
+        """G of map a and of map b, in either's own frame, for every two closures."""
+        count, d = self._noise.shape[:2]
+        u, v = np.repeat(np.arange(count), count), np.tile(np.arange(count), count)
+        found = [np.zeros((count * count, d, d)) for _ in self._sides]
+        for some in self._portions(v):
+            for whole, side in zip(found, self._sides, strict=True):
+                whole[some] = side.between(u[some], v[some])
+        of_a, of_b = (whole.reshape(count, count, d, d) for whole in found)
+        return of_a, of_b
 
     def whitened(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Any:
         """L⁻¹ of each pair's M = L Lᵀ, `[p, d, d]`: with it r is of unit covariance."""
@@ -120,7 +131,7 @@ class Loops:
 
     def _missed(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Misses:
         error, parts = self._parts(u, v)
-        both = np.stack([_form(parts[:, :, way].sum(axis=1), error) for way in (0, 1)], axis=1)
+        both = np.stack([form(parts[:, :, way].sum(axis=1), error) for way in (0, 1)], axis=1)
         backward = both[:, 1] > both[:, 0]
         parts = np.where(backward[:, None, None, None], parts[:, :, 1], parts[:, :, 0])
         weight = _solved(parts.sum(axis=1), error)
@@ -192,7 +203,8 @@ def _solved(matrices: Any, vectors: Any) -> Float[np.ndarray, "p d"]:
         )
 
 
-def _form(matrices: Any, vectors: Any) -> Float[np.ndarray, " p"]:
+def form(matrices: Any, vectors: Any) -> Float[np.ndarray, " p"]:
+    """The squares rᵀ M⁻¹ r; NaN where M is singular."""
     return np.einsum("pd,pd->p", vectors, _solved(matrices, vectors))
 
 
