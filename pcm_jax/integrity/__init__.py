@@ -15,6 +15,7 @@ _standing    the standing of a closure among the others: agreements, the worst c
 _sentences   explanations in words
 explanation  why each closure was accepted or rejected
 _mistakes    usual mistakes in what closures say and join, and closures without them
+_screen      a first look at many readings of the closures, those by mistakes undone
 _solved_mistakes     the same where something unknown is to be found: degrees, a sensor's place
 triage       where nearly all is rejected, the mistake that explains it
 """

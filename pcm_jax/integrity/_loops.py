@@ -113,6 +113,17 @@ class Loops:
                 whole[some] = own
         return found
 
+    def of_maps(self) -> tuple[Float[np.ndarray, "k k d d"], Float[np.ndarray, "k k d d"]]:
+        """G of map a and of map b, in either's own frame, for every two closures."""
+        count, d = self._noise.shape[:2]
+        u, v = np.repeat(np.arange(count), count), np.tile(np.arange(count), count)
+        found = [np.zeros((count * count, d, d)) for _ in self._sides]
+        for some in self._portions(v):
+            for whole, side in zip(found, self._sides, strict=True):
+                whole[some] = side.between(u[some], v[some])
+        of_a, of_b = (whole.reshape(count, count, d, d) for whole in found)
+        return of_a, of_b
+
     def whitened(self, u: Int[np.ndarray, " p"], v: Int[np.ndarray, " p"]) -> Any:
         """L⁻¹ of each pair's M = L Lᵀ, `[p, d, d]`: with it r is of unit covariance.
 
@@ -260,6 +271,11 @@ def _solved(matrices: Any, vectors: Any) -> Float[np.ndarray, "p d"]:
         return np.where(
             singular[:, None], np.nan, np.linalg.solve(safe, vectors[..., None])[..., 0]
         )
+
+
+def form(matrices: Any, vectors: Any) -> Float[np.ndarray, " p"]:
+    """The squares rᵀ M⁻¹ r; NaN where M is singular."""
+    return np.einsum("pd,pd->p", vectors, _solved(matrices, vectors))
 
 
 def _along(vectors: Float[np.ndarray, "p s"], covariance: Float[np.ndarray, "p s s"]) -> Any:

@@ -81,8 +81,7 @@ def _accepted(told: Any) -> str:
         text = f"was accepted: it agrees with {those.get(of, f'all {of} other accepted ones')}"
     else:
         text = f"was accepted, though it agrees with {agrees} of the {of} other accepted ones"
-    text += f"; of its loops with them that with closure {worst.index} fits worst, missing by "
-    text += miss(worst)
+    text += f"; worst with closure {worst.index}: the loop of the two misses by {miss(worst)}"
     return text + _afterwards(told)
 
 
@@ -127,7 +126,7 @@ def _worst(told: Any) -> str:
     return (
         ""
         if worst is None
-        else f"; the loop that it makes with closure {worst.index} misses by {miss(worst)}"
+        else f"; worst with closure {worst.index}: the loop of the two misses by {miss(worst)}"
     )
 
 

@@ -16,7 +16,7 @@ by its own covariance (`_loops`), in which W is no unknown.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,9 @@ MOUNTED = 0.5
 """Metres within which sensors sit on robots, one sigma: what closures do not see stays small."""
 STEPS, FOLLOWED, POLISHED = 40, 3, 2
 """Evaluations of a solve; starts that are followed, those that fit best; solves by loops."""
+ALIKE = np.radians(20.0)
+"""Headings that noise and drift may take for one."""
+_STEP = 1e-6  # of differences: half the digits
 
 
 def in_degrees(maps: Maps, closures: LoopClosures) -> Iterator[LoopClosures]:
@@ -56,15 +59,39 @@ def in_degrees(maps: Maps, closures: LoopClosures) -> Iterator[LoopClosures]:
         yield with_measurement(closures, closures.group(values.copy()))
 
 
-def with_extrinsic(covariances: Any, closures: LoopClosures) -> tuple[Any, LoopClosures]:
+def may_have_extrinsic(maps: Maps, closures: LoopClosures, enough: int) -> bool:
+    """Says whether a sensor's pose could make enough closures agree.
+
+    In the plane turns commute, so that no such pose changes the heading by which a closure turns
+    map b: enough must share one, up to `ALIKE`. In space there is no such test.
+
+    Args:
+        maps: map a and map b.
+        closures: all from a to b.
+        enough: how many have to agree.
+    """
+    if lie.tangent_dim(closures.group) == 6:
+        return True
+    ends = zip(maps, (closures.pose_a, closures.pose_b), strict=True)
+    x, y = (lie.take(lie.as_numpy(one.poses), np.asarray(poses)) for one, poses in ends)
+    turned = lie.compose(lie.compose(x, lie.as_numpy(closures.measurement)), lie.inverse(y))
+    heading = np.asarray(lie.log(turned))[:, 2]
+    near = np.abs(np.angle(np.exp(1j * (heading[:, None] - heading)))) < ALIKE
+    return int(near.sum(axis=1).max(initial=0)) >= enough
+
+
+def with_extrinsic(
+    covariances: Any,
+    closures: LoopClosures,
+    promising: Callable[[LoopClosures], bool] = lambda _: True,
+) -> tuple[Any, LoopClosures]:
     """The sensor's pose on both robots that fits best, and the closures then.
 
     Args:
         covariances: a `MapCovariance` of map a and of map b.
         closures: all from a to b.
+        promising: of the closures by a first fit, whether the loops are worth a closer one.
     """
-    from scipy.optimize import least_squares
-
     rows = np.arange(len(closures))
     apart = Loops(covariances, closures).misses(rows, np.roll(rows, len(rows) // 2))
     maps = tuple(covariance.pose_graph for covariance in covariances)
@@ -74,23 +101,18 @@ def with_extrinsic(covariances: Any, closures: LoopClosures) -> tuple[Any, LoopC
     ends = []
     for number in np.argsort(at_first, kind="stable")[:FOLLOWED]:
         start = begun[int(number)]
-        found = least_squares(
-            lambda tangent, start=start: fit.residual(tangent, *start),
-            np.zeros(2 * fit.dim),
-            loss="cauchy",
-            max_nfev=STEPS,
-        )
-        ends.append((found.cost, len(ends), fit.moved(found.x, *start)[0]))
+        found = _least(lambda tangents, start=start: fit.residuals(tangents, *start), 2 * fit.dim)
+        moved, _ = fit.moved(found.x[None], *start)
+        ends.append((found.cost, len(ends), lie.take(moved, (0, 0))))
     *_, extrinsic = min(ends)
-    for _ in range(POLISHED):
+    first = with_measurement(closures, fit.seen(extrinsic))
+    for _ in range(POLISHED if promising(first) else 0):
         extrinsic = _polished(covariances, closures, fit, extrinsic)
     return extrinsic, with_measurement(closures, fit.seen(extrinsic))
 
 
 def _polished(covariances: Any, closures: LoopClosures, fit: _HandEye, extrinsic: Any) -> Any:
     """The sensor's pose by the loops of all pairs of closures."""
-    from scipy.optimize import least_squares
-
     u, v = np.triu_indices(len(closures), 1)
     loops = Loops(covariances, with_measurement(closures, fit.seen(extrinsic)))
     white = loops.whitened(u, v)
@@ -100,17 +122,29 @@ def _polished(covariances: Any, closures: LoopClosures, fit: _HandEye, extrinsic
     )
     back = lie.inverse(y)
 
-    def residual(tangent: Any) -> Float[np.ndarray, " r"]:
-        moved = lie.compose(extrinsic, lie.exp(closures.group, tangent))
+    def residuals(tangents: Any) -> Float[np.ndarray, "b r"]:
+        moved = lie.compose(extrinsic, lie.exp(closures.group, tangents[:, None]))
         placed = lie.compose(lie.compose(x, fit.seen(moved)), back)
-        loop = lie.compose(lie.take(placed, v), lie.inverse(lie.take(placed, u)))
-        off = np.einsum("pij,pj->pi", white, np.asarray(lie.log(loop)))
-        mounted = len(closures) * np.asarray(lie.translation(moved)) / MOUNTED
-        return np.concatenate([off.ravel(), mounted])
+        at_u, at_v = (lie.take(placed, (slice(None), ends)) for ends in (u, v))
+        loop = np.asarray(lie.log(lie.compose(at_v, lie.inverse(at_u))))
+        off = np.einsum("pij,bpj->bpi", white, loop).reshape(len(tangents), -1)
+        mounted = len(closures) * np.asarray(lie.translation(moved))[:, 0] / MOUNTED
+        return np.concatenate([off, mounted], axis=1)
 
-    found = least_squares(residual, np.zeros(fit.dim), loss="cauchy", max_nfev=STEPS)
-    step: Any = found.x
+    step: Any = _least(residuals, fit.dim).x
     return lie.compose(extrinsic, lie.exp(closures.group, step))
+
+
+def _least(residuals: Callable[[Any], Float[np.ndarray, "b r"]], size: int) -> Any:
+    """The least squares of residuals that are found for many arguments `[b, size]` at once."""
+    from scipy.optimize import least_squares
+
+    def slopes(at: Any) -> Float[np.ndarray, "r size"]:
+        values = residuals(np.vstack([at, at + _STEP * np.eye(size)]))
+        return ((values[1:] - values[0]) / _STEP).T
+
+    options: Any = {"jac": slopes, "loss": "cauchy", "max_nfev": STEPS}
+    return least_squares(lambda at: residuals(at[None])[0], np.zeros(size), **options)
 
 
 class _HandEye:
@@ -139,24 +173,25 @@ class _HandEye:
         """The alignment by one of the closures that suits all best."""
         seen = self.seen(extrinsic)
         placed = lie.compose(lie.compose(self._x, seen), lie.inverse(self._y))
-        each = [lie.take(placed, k) for k in range(lie.parameters(placed).shape[0])]
-        return min(each, key=lambda common: _cauchy(self.off(extrinsic, common)))
+        off = self.off(extrinsic, lie.take(placed, (slice(None), None)))
+        return lie.take(placed, int(np.log1p(off**2).sum(axis=(1, 2)).argmin()))
 
-    def moved(self, tangent: Float[np.ndarray, " 2*d"], extrinsic: Any, middle: Any) -> Any:
-        """The extrinsic and the alignment of the maps."""
-        steps: Any = np.split(tangent, 2)
+    def moved(self, tangents: Float[np.ndarray, "b 2*d"], extrinsic: Any, middle: Any) -> Any:
+        """The extrinsic and the alignment of the maps, Lie `[b, 1]` each."""
+        steps: Any = np.split(tangents[:, None], 2, axis=-1)
         return tuple(
             lie.compose(one, lie.exp(self.group, step))
             for one, step in zip((extrinsic, middle), steps, strict=True)
         )
 
-    def residual(
-        self, tangent: Float[np.ndarray, " 2*d"], extrinsic: Any, middle: Any
-    ) -> Float[np.ndarray, " r"]:
+    def residuals(
+        self, tangents: Float[np.ndarray, "b 2*d"], extrinsic: Any, middle: Any
+    ) -> Float[np.ndarray, "b r"]:
         """The residuals, in sigmas; and where the sensor sits, in those of `MOUNTED`."""
-        extrinsic, common = self.moved(tangent, extrinsic, middle)
-        off = self.off(extrinsic, common)
-        return np.concatenate([off.ravel(), np.asarray(lie.translation(extrinsic)) / MOUNTED])
+        extrinsic, common = self.moved(tangents, extrinsic, middle)
+        off = self.off(extrinsic, common).reshape(len(tangents), -1)
+        mounted = np.asarray(lie.translation(extrinsic))[:, 0] / MOUNTED
+        return np.concatenate([off, mounted], axis=1)
 
 
 def _cauchy(residual: Float[np.ndarray, "..."]) -> float:

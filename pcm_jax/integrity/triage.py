@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
@@ -26,7 +27,8 @@ from pcm_jax.consistency import Evidence, PairEvidence
 from pcm_jax.graph import LoopClosures
 from pcm_jax.integrity._loops import Loops
 from pcm_jax.integrity._mistakes import mistakes
-from pcm_jax.integrity._solved_mistakes import in_degrees, with_extrinsic
+from pcm_jax.integrity._screen import SLACK, Screen, at_most
+from pcm_jax.integrity._solved_mistakes import in_degrees, may_have_extrinsic, with_extrinsic
 
 FEWEST = 5
 """Closures that must agree."""
@@ -95,20 +97,16 @@ def triage(evidence: Evidence, gate: float) -> Finding | None:
         InputError: for a singular map.
     """
     tried = sorted(evidence.pairs, key=len, reverse=True)[:PAIRS]
-    samples = [(pair, _sample(pair)) for pair in tried]
-    of = sum(len(closures) for _, closures in samples)
-    as_read = sum(_agreeing(pair, closures, gate) for pair, closures in samples)
+    samples = [_Sample(pair, gate) for pair in tried]
+    of = sum(len(sample.closures) for sample in samples)
+    as_read = sum(sample.as_read for sample in samples)
     enough = max(FEWEST, 2 * as_read + 1, (of + 1) // 2)
     if of < enough:
         return None
-    found = []
-    for one in mistakes(evidence.graph.group):
-        undone = ((pair, one.undo(pair.maps, own)) for pair, own in samples)  # type: ignore[arg-type]
-        agreeing = sum(_agreeing(pair, own, gate) for pair, own in undone)
-        found.append(Finding(one.name, one.words, agreeing, of, as_read))
-    if max(one.agreeing for one in found) < enough:
-        found = list(_solved(samples, gate))
-    most = max(one.agreeing for one in found)
+    found = _known(evidence.graph.group, samples, as_read, enough)
+    if max((one.agreeing for one in found), default=0) < enough:
+        found = list(_solved(samples[0], enough))
+    most = max((one.agreeing for one in found), default=0)
     if most < enough:
         return None
     likely = [one for one in found if one.agreeing >= max(enough, ABOUT * most)]
@@ -116,36 +114,75 @@ def triage(evidence: Evidence, gate: float) -> Finding | None:
     return dataclasses.replace(likely[0], also=tuple(others))
 
 
-def _sample(pair: PairEvidence) -> LoopClosures:
-    closures: LoopClosures = pair.measured  # type: ignore[assignment]
-    if len(closures) <= SAMPLE:
-        return closures
-    return closures[np.linspace(0, len(closures) - 1, SAMPLE).round().astype(int)]
+class _Sample:
+    """Some closures of a pair of robots, and how many agree by any reading of them."""
+
+    def __init__(self, pair: PairEvidence, gate: float):
+        given: LoopClosures = pair.measured  # type: ignore[assignment]
+        chosen = np.linspace(0, len(given) - 1, min(SAMPLE, len(given))).round().astype(int)
+        rows = np.arange(len(chosen), dtype=np.float64)
+        self.closures = dataclasses.replace(given[chosen], weight=rows)
+        self.pair, self.gate = pair, gate
+        self.maps: Any = pair.maps
+        self.screen = Screen(pair.covariances, self.closures)
+        (graph,) = self.graphs([self.closures])
+        self.as_read = _largest(graph)
+
+    def graphs(self, readings: list[LoopClosures]) -> list[Bool[np.ndarray, "n n"]]:
+        """The pairs that agree of each reading, or where its poses are others, that may."""
+        kept = [np.asarray(one.weight).astype(int) for one in readings]
+        return self.screen.agreeing(list(zip(readings, kept, strict=True)), self.gate)
+
+    def may_agree(self, reading: LoopClosures) -> int:
+        """A bound on how many would agree if a reading of the same poses were a little better."""
+        (graph,) = self.screen.agreeing([(reading, np.arange(len(reading)))], SLACK * self.gate)
+        return at_most(graph)
+
+    def agreeing(self, reading: LoopClosures, graph: Bool[np.ndarray, "n n"]) -> int:
+        """The size of the largest set that agrees, of a reading and what the screen found."""
+        if not self.screen.touches_the_same(reading) and len(reading):
+            rows = np.arange(len(reading))
+            loops = Loops(self.pair.covariances, reading)  # type: ignore[arg-type]
+            graph = (loops.squared(rows, rows) <= self.gate) & ~np.eye(len(rows), dtype=bool)
+        return _largest(graph)
 
 
-def _agreeing(pair: PairEvidence, closures: LoopClosures, gate: float) -> int:
-    """The size of the largest set of closures that agree."""
-    if len(closures) == 0:
-        return 0
-    rows = np.arange(len(closures))
-    squared = Loops(pair.covariances, closures).squared(rows, rows)  # type: ignore[arg-type]
-    agrees = (squared <= gate) & ~np.eye(len(rows), dtype=bool)
-    return int(maximum_clique(agrees, time_limit=SEARCH).size)
+def _largest(graph: Bool[np.ndarray, "n n"]) -> int:
+    return int(maximum_clique(graph, time_limit=SEARCH).size) if len(graph) else 0
 
 
-def _solved(samples: list[tuple[PairEvidence, LoopClosures]], gate: float) -> Iterator[Finding]:
+def _known(group: Any, samples: list[_Sample], as_read: int, enough: int) -> list[Finding]:
+    """The mistakes with nothing unknown in them by which enough closures agree."""
+    known = list(mistakes(group))
+    of = sum(len(sample.closures) for sample in samples)
+    undone = [[one.undo(sample.maps, sample.closures) for one in known] for sample in samples]
+    graphs = [sample.graphs(own) for sample, own in zip(samples, undone, strict=True)]
+    found = []
+    for k, one in enumerate(known):
+        if sum(at_most(own[k]) for own in graphs) < enough:
+            continue
+        each = zip(samples, undone, graphs, strict=True)
+        agreeing = sum(sample.agreeing(own[k], graph[k]) for sample, own, graph in each)
+        found.append(Finding(one.name, one.words, agreeing, of, as_read))
+    return found
+
+
+def _solved(sample: _Sample, enough: int) -> Iterator[Finding]:
     """Mistakes with something unknown, by the pair of robots with the most closures alone."""
-    pair, closures = samples[0]
-    maps: Any = pair.maps
-    of = len(closures)
-    as_read = _agreeing(pair, closures, gate)
+    closures, as_read, of = sample.closures, sample.as_read, len(sample.closures)
     if lie.tangent_dim(closures.group) == 3:
-        sizes = [_agreeing(pair, own, gate) for own in in_degrees(maps, closures)]
-        yield Finding("degrees", "angles are in degrees", max(sizes), of, as_read)
-    extrinsic, own = with_extrinsic(pair.covariances, closures)
+        read = list(in_degrees(sample.maps, closures))
+        graphs = [graph for graph in sample.graphs(read) if at_most(graph) >= enough]
+        most = max(map(_largest, graphs), default=0)
+        yield Finding("degrees", "angles are in degrees", most, of, as_read)
+    if not may_have_extrinsic(sample.maps, closures, enough):
+        return
+    extrinsic, own = with_extrinsic(
+        sample.pair.covariances, closures, lambda first: sample.may_agree(first) >= enough
+    )
     words = f"a sensor sits at {_pose(extrinsic)} on its robot"
-    agreeing = _agreeing(pair, own, gate)
-    yield Finding("extrinsic left out", words, agreeing, of, as_read, extrinsic=extrinsic)
+    (graph,) = sample.graphs([own])
+    yield Finding("extrinsic left out", words, _largest(graph), of, as_read, extrinsic=extrinsic)
 
 
 def _pose(extrinsic: Any) -> str:

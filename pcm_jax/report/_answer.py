@@ -19,6 +19,11 @@ GLOSSARY = (
         " the uncertainty of maps and measurements.",
     ),
     (
+        "Sigma",
+        "is one standard deviation: how far a loop of two right closures misses by noise alone."
+        " Three sigmas are rare; a hundred are no noise.",
+    ),
+    (
         "Accepted",
         "is the largest set in which every two agree, if it is too large for chance and no other"
         " set explains the maps about as well. Everything else is rejected.",

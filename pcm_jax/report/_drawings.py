@@ -70,10 +70,17 @@ def drawings(
             for robot, one in enumerate(result.graph.maps)
         ],
         "groups": [list(members) for members in result.groups],
-        "closures": _closures(result, facts, unit) | {"more": [more(row) for row in rows]},
+        "closures": _closures(result, facts, unit)
+        | {"more": [more(row) for row in rows], "worst": [_worst(row) for row in rows]},
         "pairs": [_pair(pair, _most(len(pairs))) for pair in pairs],
         "anchors": _anchors(result, unit),
     }
+
+
+def _worst(row: dict[str, Any]) -> int:
+    """The closure that one misses by most, as its sentence names it; -1 where none is known."""
+    worst = row["worst_conflict"]
+    return -1 if worst is None else worst["with"]
 
 
 def _positions(maps: Any) -> list[Float[np.ndarray, "n s"]]:

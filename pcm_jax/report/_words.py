@@ -109,9 +109,10 @@ def more(row: dict[str, Any]) -> list[list[str]]:
         shares = ", ".join(f"{name} {100.0 * x:.0f} %" for name, x in worst["shares"].items())
         told += [[f"Loop with {worst['with']}", miss], ["Uncertainty from", shares]]
     if row["enters_at"] is not None:
-        told.append(["Enters at", _confidence(row["enters_at"])])
+        told.append(["Let in by a gate of", _confidence(row["enters_at"])])
     if fit:
-        told.append(["In the merged map", f"χ² {number(fit['chi2'])}, p = {number(fit['p'], 2)}"])
+        expected = f"{len(fit['residual'])} expected of a right one"
+        told.append(["In the merged map", f"χ² {number(fit['chi2'])}, {expected}"])
     return told
 
 
@@ -120,7 +121,11 @@ def _pose(metres: float, degrees: float) -> str:
 
 
 def _confidence(value: float) -> str:
-    return "no usable confidence" if value > USABLE else f"confidence {number(value, 6)}"
+    return (
+        "no use: it would let in nearly anything"
+        if value > USABLE
+        else f"confidence {number(value, 6)}"
+    )
 
 
 def off_by(facts: Facts, index: int) -> str:

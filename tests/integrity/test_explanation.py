@@ -298,7 +298,7 @@ def test_planted_mistakes_are_measured(turned):
     names = ("b", "a") if turned else ("a", "b")
     assert off.sentence.startswith(
         f"Closure 3 ({names[0]}20 to {names[1]}20) was rejected: it agrees with 0 of the 4 "
-        "accepted ones; the loop that it makes with closure "
+        "accepted ones; worst with closure "
     )
     assert " misses by 5 m (sigma " in off.sentence
     # exactly right but for itself, so what is left in the merged map is its mistake

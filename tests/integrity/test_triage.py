@@ -6,9 +6,11 @@ import functools
 import numpy as np
 import pytest
 
-from pcm_jax import MultiRobotGraph, chi2_gate, lie, weigh
+from pcm_jax import MultiRobotGraph, chi2_gate, lie, maximum_clique, weigh
 from pcm_jax.integrity import triage
+from pcm_jax.integrity._loops import Loops
 from pcm_jax.integrity._mistakes import mistakes
+from pcm_jax.integrity._screen import Screen, at_most
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 SIMULATED = {"SE2": simulate_city, "SE3": simulate_sessions}
@@ -173,3 +175,60 @@ def test_clutter_is_no_mistake(seed):
     ).graph
     evidence = weigh(graph)
     assert triage(evidence, float(chi2_gate(0.99, graph.tangent_dim))) is None
+
+
+@both_groups
+def test_a_screen_weighs_readings_of_the_same_poses_as_their_loops_do(group):
+    evidence = weigh(world(group), optimized=True)
+    (pair,) = evidence.pairs
+    closures = dataclasses.replace(pair.measured, weight=np.arange(22.0))
+    screen, gate = Screen(pair.covariances, closures), float(chi2_gate(0.99, evidence.tangent_dim))
+    known = {one.name: one.undo(pair.maps, closures) for one in mistakes(evidence.graph.group)}
+    readings = [closures, known["inverted"], known["rotation inverted"], known["tangent order"]]
+    rows = np.arange(22)
+    for reading, graph in zip(
+        readings, screen.agreeing([(one, rows) for one in readings], gate), strict=True
+    ):
+        exact = Loops(pair.covariances, reading).squared(rows, rows) <= gate
+        np.testing.assert_array_equal(graph, exact & ~np.eye(22, dtype=bool))
+
+
+@both_groups
+def test_a_screen_misses_nothing_where_poses_are_a_few_steps_on(group):
+    evidence = weigh(world(group), optimized=True)
+    (pair,) = evidence.pairs
+    closures = dataclasses.replace(pair.measured, weight=np.arange(22.0))
+    screen, gate = Screen(pair.covariances, closures), float(chi2_gate(0.99, evidence.tangent_dim))
+    readings = [one.undo(pair.maps, closures) for one in mistakes(evidence.graph.group)]
+    kept = [np.asarray(one.weight).astype(int) for one in readings]
+    graphs = screen.agreeing(list(zip(readings, kept, strict=True)), gate)
+    for reading, rows, graph in zip(readings, kept, graphs, strict=True):
+        if len(rows) and not screen.touches_the_same(reading):
+            every = np.arange(len(rows))
+            exact = Loops(pair.covariances, reading).squared(every, every) <= gate
+            assert not (exact & ~graph & ~np.eye(len(rows), dtype=bool)).any()
+
+
+def test_no_set_is_larger_than_its_bound():
+    generator = np.random.default_rng(0)
+    for _ in range(100):
+        size = int(generator.integers(1, 14))
+        graph = np.triu(generator.random((size, size)) < generator.random(), 1)
+        graph |= graph.T
+        assert at_most(graph) >= maximum_clique(graph).size
+    assert at_most(np.zeros((0, 0), bool)) == 0
+    assert at_most(~np.eye(5, dtype=bool)) == 5
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_simulated_worlds_are_left_alone(seed):
+    """With few right closures or none, aliased groups, and up to five false for a right one."""
+    generator = np.random.default_rng(seed)
+    right = int(generator.integers(0, 11))
+    clutter = {
+        "random": int(generator.integers(2, max(3, 5 * right) if right else 30)),
+        "aliased_groups": int(generator.integers(0, 3)),
+    }
+    simulate = SIMULATED["SE3" if seed % 2 else "SE2"]
+    graph = simulate(seed=seed, poses=40, inliers=right, aliased_size=4, **clutter).graph
+    assert triage(weigh(graph), float(chi2_gate(0.99, graph.tangent_dim))) is None

@@ -315,6 +315,15 @@ def test_maps_in_space_are_seen_from_other_sides(opened):
     assert len(seen) == 3
 
 
+def test_the_worst_conflict_of_the_sentence_is_listed_first(opened, result):
+    page = opened()
+    rejected = np.flatnonzero(~result.accepted).tolist()
+    for closure in rejected:
+        worst = result.explain(closure).worst_conflict
+        page.evaluate(f"pcm.pick({closure})")
+        assert page.locator("#picked-body .chips").first.inner_text().split()[1] == str(worst.index)
+
+
 def test_closures_that_are_not_drawn_are_told(opened, written, result, monkeypatch):
     """In the matrix, in the graph, and beside one of them."""
     monkeypatch.setattr(drawing, "MOST_CLOSURES", 12)

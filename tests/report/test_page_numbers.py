@@ -214,15 +214,17 @@ def test_what_is_explained_besides_is_told():
             "shares": {"a": 0.25, "b": 0.5, "closures": 0.25},
         },
         "enters_at": 0.9995,
-        "fit": {"chi2": 31.25, "p": 1e-6},
+        "fit": {"chi2": 31.25, "p": 1e-6, "residual": {"x": 3.0, "y": 2.0, "theta": 0.5}},
     }
     assert more(row) == [
         ["Standing", f"near miss: {STANDINGS['near miss']}"],
         ["Loop with 4", "misses by 12\u00a0m, 46° (standard deviations 0.5\u00a0m, 1°)"],
         ["Uncertainty from", "a 25 %, b 50 %, closures 25 %"],
-        ["Enters at", "confidence 0.9995"],
-        ["In the merged map", "χ² 31.2, p = 1.0 × 10⁻⁶"],
+        ["Let in by a gate of", "confidence 0.9995"],
+        ["In the merged map", "χ² 31.2, 3 expected of a right one"],
     ]
     unknown = {"standing": "not weighed", "worst_conflict": None, "enters_at": None, "fit": None}
     assert more(unknown) == [["Standing", f"not weighed: {STANDINGS['not weighed']}"]]
-    assert more(unknown | {"enters_at": 1.0})[1:] == [["Enters at", "no usable confidence"]]
+    assert more(unknown | {"enters_at": 1.0})[1:] == [
+        ["Let in by a gate of", "no use: it would let in nearly anything"]
+    ]

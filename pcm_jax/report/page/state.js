@@ -43,7 +43,8 @@ const pcm = (() => {
     const isMember = pair.isMember.has(at);
     const others = pair.closures.map((_, k) => k).filter((k) => k !== at);
     const among = pair.members.length && !isMember ? pair.members : others;
-    const worst = (i, j) => pair.level(at, j) - pair.level(at, i);
+    const named = pair.place.get(data.closures.worst[closure]);
+    const worst = (i, j) => (j === named) - (i === named) || pair.level(at, j) - pair.level(at, i);
     return {
       ofSet: pair.members.length > 0 && !isMember,
       all: pair.left_out ? "of those drawn" : "of all",
