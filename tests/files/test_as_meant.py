@@ -328,6 +328,12 @@ def test_tags_of_other_programs(account):
     one = graph.maps[0]
     assert (one.tail.tolist(), one.head.tolist()) == ([0, 1, 2, 2], [1, 2, 0, 1])
     np.testing.assert_allclose(lie.translation(one.measurement)[2:, 0], [-2, -1])
+    solid_ones = [*chain([1, 2, 3]), "EDGE_SE3_CALIB 1 2 0 0 0 0 0 0 1"]
+    for tag in ("SE3_SWITCHABLE", "SE3:QUAT_SWITCHABLE", "SE3_MAXMIX", "SE3:QUAT_MAXMIX"):
+        loop = f"EDGE_{tag} 3 1 4 -2 0 0 0 0 0 1 {SOLID}"
+        one = account([*solid_ones, loop])[0].maps[0]
+        assert (one.tail.tolist(), one.head.tolist()) == ([0, 1, 2], [1, 2, 0])
+        np.testing.assert_allclose(lie.translation(one.measurement)[2], [-2, 0, 0])
     assert told.files[0].left_out == {"VERTEX_SWITCH": 1}
 
 
