@@ -10,6 +10,7 @@ import numpy as np
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import write_candidates, write_g2o, write_trajectory
+from pcm_jax.files.formats.g2o import fit_keys, table_path
 from pcm_jax.files.output import check_target
 from pcm_jax.files.write import format_of_suffix, write_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
@@ -32,7 +33,8 @@ def write_merged(output: str, result: Any) -> Iterator[Path]:
     """Writes the merged maps with the accepted closures, and gives the files' paths.
 
     Robots that nothing joins stand in frames of their own: each group gets a file, `merged.g2o`
-    and `merged.group2.g2o` and so on. A folder gets a g2o file and a TUM trajectory for each
+    and `merged.group2.g2o` and so on; where ids fit no symbol key they are sequential, with a table
+    beside the file. A folder gets a g2o file and a TUM trajectory for each
     robot, and the accepted closures as CSV.
     """
     if is_folder(output):
@@ -43,7 +45,10 @@ def write_merged(output: str, result: Any) -> Iterator[Path]:
         path = target if number == 1 else target.with_name(_numbered(target.name, number))
         graph = part_of(result.graph, group)
         if format_of_suffix(path) in (None, "g2o"):
-            write_g2o(path, graph, frame=result.graph.names[group[0]])
+            ids = "original" if fit_keys(graph.maps) else "sequential"
+            write_g2o(path, graph, ids=ids, frame=result.graph.names[group[0]])
+            if ids == "sequential":
+                yield table_path(path)
         else:
             write_graph(path, graph)
         yield path

@@ -2,9 +2,10 @@
 
 An edge between two ids that follow one another (in the order of all ids of all files) is odometry,
 and a file's largest set of poses joined by odometry is its trajectory. Ids are shared when the
-trajectories have no pose in common and an edge leads from one file's poses to another's. Of the
-files that mention a pose, the one in whose trajectory it lies, or which joins it to most others by
-odometry, owns it.
+trajectories have no pose in common and an edge leads from one file's poses to another's. Two files
+that both measure the steps to and from one id, in the order of their own ids, have it in common:
+keyframes 10, 20, 30, … of one robot, beside 0, 1, 2, … of another. Of the files that mention a
+pose, the one in whose trajectory it lies, or which joins it to most others by odometry, owns it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files.pose_file import PoseFile
@@ -56,7 +57,7 @@ def shared_ids(files: Sequence[PoseFile], *, required: bool = False) -> Shared |
     ]
     if not any(defines):
         return None
-    clash = _clash(runs, defines)
+    clash = _clash(runs, defines) or _both_pass(files, known, defines)
     owner = _owners(runs, defines, len(known))
     crossing = [
         _crosses(file, known, owner, place, defines[place]) for place, file in enumerate(files)
@@ -118,6 +119,38 @@ def _clash(runs: Sequence[np.ndarray], defines: Sequence[bool]) -> tuple[int, in
             return int(first[index]), place, index
         first[main] = place
     return None
+
+
+def _both_pass(
+    files: Sequence[PoseFile], known: Int[np.ndarray, " k"], defines: Sequence[bool]
+) -> tuple[int, int, int] | None:
+    """Two files whose trajectories go through one id, and its index.
+
+    A pose that a file repeats from another one is met by closures, not by odometry from the id
+    before it and to the id after it.
+    """
+    first = np.full(len(known), -1)
+    for place, file in enumerate(files):
+        if not defines[place]:
+            continue
+        passed = _passed(file, known)
+        both = passed & (first >= 0)
+        if both.any():
+            index = int(np.argmax(both))
+            return int(first[index]), place, index
+        first[passed] = place
+    return None
+
+
+def _passed(file: PoseFile, known: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Marks the ids that a file measures both the step to and from, in the order of its own."""
+    own = np.unique(file.ids)
+    rank = np.searchsorted(own, file.edges.ids)
+    step = np.zeros(len(own), bool)  # from an id to the next one
+    step[rank.min(axis=1)[np.abs(rank[:, 0] - rank[:, 1]) == 1]] = True
+    passed = np.zeros(len(known), bool)
+    passed[np.searchsorted(known, own[1:][step[:-1] & step[1:]])] = True
+    return passed
 
 
 def _owners(runs: Sequence[np.ndarray], defines: Sequence[bool], count: int) -> np.ndarray:

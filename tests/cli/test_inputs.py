@@ -109,6 +109,20 @@ def test_groups_are_written_apart(run, three):
     assert "connected by closures: a b\n" in run("inspect", "m.g2o").out
 
 
+def test_ids_that_fit_no_symbol_key(run, folder):
+    """Negative ones are written as 0, 1, 2, … with a table beside the file."""
+    maps = [folder(f"{name}.g2o", *chain(start, 6)) for name, start in (("p", -9), ("q", -9))]
+    rows = [f"p,{k},q,{k + 1},1,2,0,0.1,0.1,0.1" for k in range(-9, -4)]
+    candidates = folder("c.csv", *rows)
+    options = ("--closures", candidates, "--minimum-inliers", "2", "--output", "m.g2o")
+    out = run("merge", *maps, *options).out
+    assert "wrote m.ids.csv" in out and "wrote m.g2o" in out
+    graph = read_graph("m.g2o")
+    assert graph.names == ("p", "q")
+    assert [one.ids.tolist() for one in graph.maps] == [list(range(-9, -3))] * 2
+    assert len(graph.closures) == 5
+
+
 def test_files_for_each_robot(run, three):
     ran = run("merge", three, "--minimum-inliers", 2, "--output", "out/")
     assert ran.status == 0

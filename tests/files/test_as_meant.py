@@ -222,6 +222,21 @@ def test_plain_ids_unique_over_the_files(account, lines, how):
     assert graph.closures.pose_a.tolist()[0] == 0
 
 
+@pytest.mark.parametrize(
+    "robots",
+    [
+        (range(7, 43, 3), range(12)),  # keyframes of one, every pose of the other
+        (range(0, 50, 10), range(30)),
+        (range(-6, 20, 2), range(-9, 30, 3), range(8)),
+    ],
+)
+def test_ids_with_gaps_that_are_each_files_own(account, robots):
+    """No edge leads out of a file, though ids of one lie between those of another."""
+    graph, _ = account(*(chain(ids, flat) for ids in robots))
+    assert [one.ids.tolist() for one in graph.maps] == [list(ids) for ids in robots]
+    assert not len(graph.closures)
+
+
 def test_candidates_inside_a_robot_join_its_map(account):
     graph, _ = account(*PLAIN, [solid(0, 2, 2), solid(0, 100, 0, 2)])
     assert [one.num_edges for one in graph.maps] == [3, 2]
@@ -313,6 +328,12 @@ def test_tags_of_other_programs(account):
     one = graph.maps[0]
     assert (one.tail.tolist(), one.head.tolist()) == ([0, 1, 2, 2], [1, 2, 0, 1])
     np.testing.assert_allclose(lie.translation(one.measurement)[2:, 0], [-2, -1])
+    solid_ones = [*chain([1, 2, 3]), "EDGE_SE3_CALIB 1 2 0 0 0 0 0 0 1"]
+    for tag in ("SE3_SWITCHABLE", "SE3:QUAT_SWITCHABLE", "SE3_MAXMIX", "SE3:QUAT_MAXMIX"):
+        loop = f"EDGE_{tag} 3 1 4 -2 0 0 0 0 0 1 {SOLID}"
+        one = account([*solid_ones, loop])[0].maps[0]
+        assert (one.tail.tolist(), one.head.tolist()) == ([0, 1, 2], [1, 2, 0])
+        np.testing.assert_allclose(lie.translation(one.measurement)[2], [-2, 0, 0])
     assert told.files[0].left_out == {"VERTEX_SWITCH": 1}
 
 

@@ -7,6 +7,7 @@ import pytest
 from pcm_jax import lie
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files import from_gtsam, to_gtsam
+from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.mapping import optimize
 
 gtsam = pytest.importorskip("gtsam")
@@ -98,6 +99,28 @@ def test_hard_constraints_on_request(chain):
     factors.add(gtsam.BetweenFactorPose2(0, 1, gtsam.Pose2(), noise))
     (one,) = from_gtsam(factors, values, constrained_sigma=1e-6).maps
     np.testing.assert_allclose(one.information[-1], 1e12 * np.eye(3))
+
+
+def test_closures_that_say_nothing_of_some_directions(make_robots):
+    """Planar ones between maps in space are kept, and so are such priors; odometry is complete."""
+    whole = make_robots(jaxlie.SE3, ("a", "b"))
+    factors, values = to_gtsam(MultiRobotGraph(whole.maps))
+    planar = gtsam.noiseModel.Diagonal.Precisions(np.array([0.0, 0, 400, 100, 100, 0]))
+    a, b = (
+        gtsam.symbol("a", int(whole.maps[0].ids[0])),
+        gtsam.symbol("b", int(whole.maps[1].ids[0])),
+    )
+    factors.add(gtsam.BetweenFactorPose3(a, b, gtsam.Pose3(), planar))
+    factors.add(gtsam.PriorFactorPose3(a, gtsam.Pose3(), planar))
+    with pytest.warns(InputWarning, match=r"1 of 1 closures say 3 of 6 degrees of freedom"):
+        graph = from_gtsam(factors, values)
+    expected = np.diag([100.0, 100, 0, 0, 0, 400])
+    np.testing.assert_allclose(graph.closures.information[0], expected)
+    np.testing.assert_allclose(graph.maps[0].priors.information[-1], expected)
+    next_one = gtsam.symbol("a", int(whole.maps[0].ids[1]))
+    factors.add(gtsam.BetweenFactorPose3(a, next_one, gtsam.Pose3(), planar))
+    with pytest.raises(InputError, match=rf"factors\[{factors.size() - 1}\]: information is not"):
+        from_gtsam(factors, values)
 
 
 def test_bad_factors_are_named(chain):

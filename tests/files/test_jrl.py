@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pcm_jax import lie
-from pcm_jax.errors import FileFormatError
+from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import read_graph, write_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, Priors
 
@@ -130,6 +130,16 @@ def test_other_writers(save):
     data["initialization"]["a"]["one"] = {"type": "Pose3"}
     with pytest.raises(FileFormatError, match=r"initialization.a.one: .*expected an integer"):
         read_graph(save(data))
+
+
+def test_one_robot_keeps_its_name_and_ids(tmp_path, make_robots, group):
+    (one, *_) = make_robots(group, ("rover", "other")).maps
+    one = dataclasses.replace(one, ids=np.arange(one.num_poses) * 3 + 7)
+    write_graph(tmp_path / "some.jrl", one)
+    (again,) = read_graph(tmp_path / "some.jrl").maps
+    assert (again.name, again.ids.tolist()) == ("rover", one.ids.tolist())
+    with pytest.raises(InputError, match="robot 'rover' has the id -1, which fits no symbol key"):
+        write_graph(tmp_path / "b.jrl", dataclasses.replace(one, ids=one.ids - 8))
 
 
 @pytest.mark.parametrize("names", [("a", "b"), ("left", "right")])

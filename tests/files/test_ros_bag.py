@@ -1,12 +1,14 @@
 """Bags of pose graphs, written in the test."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import read_graph
-from pcm_jax.files.formats.ros_bag import definitions
+from pcm_jax.files.formats.ros_bag import check_fields, definitions
 
 rosbags = pytest.importorskip("rosbags")
 
@@ -104,6 +106,19 @@ def test_edges_without_a_covariance(save):
 def test_a_bag_without_graphs(save):
     with pytest.raises(FileFormatError, match="no messages of pose_graph_tools_msgs/PoseGraph"):
         read_graph(save([]))
+
+
+def test_messages_of_another_package():
+    """Of the same name, but without the robots' numbers."""
+    node = SimpleNamespace(robot_id=0, key=1, pose=None)
+    edge = SimpleNamespace(key_from=0, key_to=1, type=0, pose=None, covariance=None)
+    check_fields("a.bag", "p/msg/PoseGraph", SimpleNamespace(nodes=[node], edges=[]))
+    for message, lost in (
+        (SimpleNamespace(nodes=[node], edges=[edge]), "robot_from"),
+        (SimpleNamespace(nodes=[]), "edges"),
+    ):
+        with pytest.raises(FileFormatError, match=f"a.bag: p/msg/PoseGraph without {lost}, exp"):
+            check_fields("a.bag", "p/msg/PoseGraph", message)
 
 
 def test_an_mcap_file_by_itself(save, kind):

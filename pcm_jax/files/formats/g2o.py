@@ -73,7 +73,7 @@ def write_g2o(
     if ids == "sequential":
         starts = np.cumsum([0, *(pose_graph.num_poses for pose_graph in graph.maps)])
         keys = [np.arange(a, b) for a, b in pairwise(starts)]
-        table = _table_path(Path(path))
+        table = table_path(Path(path))
         if not table.name.isprintable() or table.name.strip() != table.name:
             raise InputError(
                 f"path: {table.name!r} cannot be named in a comment, expected printable text"
@@ -112,7 +112,7 @@ def _check_writable(graph: MultiRobotGraph) -> None:
             )
 
 
-def _table_path(path: Path) -> Path:
+def table_path(path: Path) -> Path:
     """`merged.ids.csv` beside `merged.g2o`, `NAME.ids.csv` beside any other NAME."""
     return path.with_suffix(".ids.csv") if path.suffix == ".g2o" else Path(f"{path}.ids.csv")
 
@@ -158,7 +158,7 @@ def original_keys(
         kept = bool((symbols.letters_of(graph.ids) == ord(letter)).all())
         kind = "key" if kept else "index"
         header.append(ROBOT_LINE.format(letter=letter, kind=kind, name=graph.name))
-        keys.append(graph.ids if kept else _as_keys(letter, graph))
+        keys.append(graph.ids if kept else as_keys(letter, graph))
     standard = [ROBOT_LINE.format(letter=g.name, kind="key", name=g.name) for g in maps]
     ordered = all(a.name < b.name for a, b in pairwise(maps))
     return ([] if header == standard and ordered else header), keys
@@ -198,7 +198,21 @@ def _rank(letter: str) -> tuple[bool, bool, str]:
     return (not letter.isalpha(), not letter.islower(), letter)
 
 
-def _as_keys(letter: str, graph: PoseGraph) -> np.ndarray:
+def fit_keys(maps: Sequence[PoseGraph]) -> bool:
+    """True if `write_g2o` can keep all ids, as one robot's own or as symbol keys."""
+    try:
+        original_keys(maps)
+    except InputError:
+        return False
+    return True
+
+
+def as_keys(letter: str, graph: PoseGraph) -> np.ndarray:
+    """A robot's ids as the keys of a letter.
+
+    Raises:
+        InputError: for an id that fits none.
+    """
     wrong = (graph.ids < 0) | (graph.ids >= symbols.INDEX_LIMIT)
     if wrong.any():
         raise InputError(

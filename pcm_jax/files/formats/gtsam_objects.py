@@ -226,13 +226,25 @@ def _edges(
         noise = factor.noiseModel()
         if not isinstance(noise, gtsam.noiseModel.Gaussian):
             name = type(noise).__name__
-            raise fault(row, f"noise model {name}, expected a Gaussian one")
+            wrapped = " (its .noise())" * hasattr(noise, "noise")
+            raise fault(row, f"noise model {name}, expected a Gaussian one{wrapped}")
         weights.append(_information(noise, gtsam, constrained, row, fault))
     order = np.array(kind.order)
-    information = check_information(np.array(weights)[:, order[:, None], order], fault)
+    information = check_information(
+        np.array(weights)[:, order[:, None], order], fault, singular=True
+    )
     if lines.ids.shape[1] == 2:
         check_self_loops(lines.ids[:, 0], lines.ids[:, 1], fault)
+        inner = np.flatnonzero(_inside(lines.ids))
+        check_information(information[inner], lambda row, text: fault(int(inner[row]), text))
     return dataclasses.replace(lines, information=information, line=index)
+
+
+def _inside(ids: np.ndarray) -> np.ndarray:
+    """Marks the edges `[k]` of one robot's own map, whose information may not lack directions."""
+    labels, letters = symbols.labels_of(ids), symbols.letters_of(ids)
+    codes = np.where(labels > 0, labels, letters)
+    return codes[:, 0] == codes[:, 1]
 
 
 def _measured(factor: Any) -> Any:

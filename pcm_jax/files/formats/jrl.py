@@ -21,7 +21,7 @@ from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files._json import Member, begins_object, load
 from pcm_jax.files.coordinates import columns, inverted, parameters
 from pcm_jax.files.formats._registry import Format, register
-from pcm_jax.files.formats.g2o import check_group, closure_keys, original_keys
+from pcm_jax.files.formats.g2o import as_keys, check_group, closure_keys, original_keys
 from pcm_jax.files.names import stem_of
 from pcm_jax.files.output import write_text
 from pcm_jax.files.pose_file import (
@@ -34,6 +34,7 @@ from pcm_jax.files.pose_file import (
     checked,
     no_lines,
 )
+from pcm_jax.files.scopes import ROBOT_LINE
 from pcm_jax.files.source import Source
 from pcm_jax.files.text import line_fault
 from pcm_jax.graph import symbols
@@ -258,7 +259,8 @@ def write_jrl(path: str | PathLike[str], graph: MultiRobotGraph) -> None:
         )
     header, keys = original_keys(graph.maps, own_name=stem_of(str(path)))
     if len(graph.maps) == 1 and not symbols.are_symbols(keys[0]):
-        keys = [symbols.keys("a", symbols.indices_of(keys[0]))]
+        keys = [as_keys("a", graph.maps[0])]
+        header = [ROBOT_LINE.format(letter="a", kind="index", name=graph.maps[0].name)]
     robots = [chr(int(symbols.letters_of(own[:1])[0])) for own in keys]
     entries = _entries(graph, keys)
     whole: dict[str, Any] = {

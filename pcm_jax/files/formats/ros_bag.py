@@ -134,7 +134,9 @@ def _messages(source: Source) -> Iterator[Any]:
                 count += 1
                 if count > MOST:
                     raise FileFormatError(source.path, None, f"more than {MOST} pose graphs")
-                yield bag.deserialize(raw, connection.msgtype)
+                message = bag.deserialize(raw, connection.msgtype)
+                check_fields(source.path, connection.msgtype, message)
+                yield message
     except FileFormatError:
         raise
     except Exception as error:  # whatever rosbags finds wrong with a bag
@@ -144,6 +146,23 @@ def _messages(source: Source) -> Iterator[Any]:
         raise FileFormatError(
             source.path, None, "no messages of pose_graph_tools_msgs/PoseGraph, expected some"
         )
+
+
+def check_fields(path: str, kind: str, message: Any) -> None:
+    """Raises `FileFormatError` for another package's message of that name (LAMP has one)."""
+    for what, names in (
+        ("nodes", ("robot_id", "key", "pose")),
+        ("edges", ("robot_from", "key_from", "robot_to", "key_to", "type", "pose", "covariance")),
+    ):
+        members = getattr(message, what, None)
+        lost = [name for name in names if members and not hasattr(members[0], name)]
+        if members is None or lost:
+            raise FileFormatError(
+                path,
+                None,
+                f"{kind} without {what if members is None else lost[0]}, expected messages of"
+                f" {PACKAGES[0]}/PoseGraph",
+            )
 
 
 def _index(key: int) -> int:
