@@ -142,6 +142,6 @@ def _unite(sets: np.ndarray, out: np.ndarray) -> np.ndarray:
 
 
 def lined_up(values: np.ndarray, lanes: Int[np.ndarray, " k"], more: int) -> np.ndarray:
-    """What some lanes have, along the last axis, and nothing for as many new ones behind them."""
+    """Lines up the columns of some lanes, and as many empty ones behind them."""
     nothing = np.zeros((*values.shape[:-1], more), values.dtype)
     return np.concatenate([values.take(lanes, -1), nothing], axis=-1)

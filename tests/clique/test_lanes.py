@@ -6,6 +6,7 @@ import itertools
 import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -20,6 +21,7 @@ from pcm_jax.clique._colouring import Colourings
 from pcm_jax.clique._exact import BitGraph, largest_clique
 from pcm_jax.clique._subgraphs import Subgraphs
 
+NODES_ONLY: Any = None  # as networkx's documentation says, which its stubs do not know
 ONE_BY_ONE = {"_VISITS": 10**9, "_WORTH_LANES": np.inf}
 # From the start; few lanes and little room, so that what is rare comes often; as it is.
 ON_LANES = [
@@ -72,7 +74,7 @@ def test_members_are_those_of_the_search_one_by_one(monkeypatch, runs, constants
         assert clique.optimal
         assert clique.upper_bound == clique.size
         if len(adjacency) < 40:
-            theirs = nx.max_weight_clique(nx.from_numpy_array(adjacency), weight=None)
+            theirs = nx.max_weight_clique(nx.from_numpy_array(adjacency), weight=NODES_ONLY)
             assert clique.size == theirs[1], seed
     assert len(runs) > 100
     assert set(runs) >= ({1} if constants.get("MOST_WORDS") == 1 else {1, 2})
@@ -95,6 +97,7 @@ def test_sets_of_every_number_of_words(monkeypatch, words):
     graph, best = BitGraph(adjacency), lanes.Best(2)
     whole = lanes.Part([], graph.everything)
     assert lanes.Lanes(graph, words, best).run(iter([whole]), np.inf) == []
+    assert best.labels is not None
     assert len(best.labels) == maximum_clique(adjacency).size
     assert is_clique(adjacency, np.isin(np.arange(64 * words), graph.vertices_of(best.labels)))
 
@@ -108,10 +111,12 @@ def test_larger_cliques_are_found_on_the_way_and_the_ceiling_ends_it(monkeypatch
         if floor == size:
             assert labels is None
             break
+        assert labels is not None
         assert len(labels) == size
         assert is_clique(adjacency, np.isin(np.arange(90), graph.vertices_of(labels)))
     for ceiling in range(3, size + 1):
         found = largest_clique(graph, graph.everything, 1, ceiling=ceiling).labels
+        assert found is not None
         assert len(found) == ceiling
     assert runs
 
@@ -128,7 +133,8 @@ def test_only_cliques_with_a_member_among_some_are_looked_for(monkeypatch, runs)
             for vertex in graph.vertices_of(labels):
                 inside = np.append(np.flatnonzero(adjacency[vertex]), vertex)
                 theirs = nx.from_numpy_array(adjacency[np.ix_(inside, inside)])
-                sizes.append(nx.max_weight_clique(theirs, weight=None)[1])
+                sizes.append(nx.max_weight_clique(theirs, weight=NODES_ONLY)[1])
+            assert found is not None
             assert len(found) == max(sizes)
             assert set(found) & set(labels)
     assert runs
@@ -149,21 +155,22 @@ def test_wherever_time_runs_out_larger_cliques_are_inside_what_is_unsettled(monk
             assert found == size or stopped
             inside = graph.vertices_of(graph.members(outcome.unsettled))
             rest = nx.from_numpy_array(adjacency[np.ix_(inside, inside)])
-            assert found == size or nx.max_weight_clique(rest, weight=None)[1] == size
+            assert found == size or nx.max_weight_clique(rest, weight=NODES_ONLY)[1] == size
             assert next(clock) <= reading + 8
             reading = 1 + reading * 6 // 5
         assert found == size
     assert runs
 
 
-@pytest.mark.parametrize("options", [{}, {"weights": True}, {"tie_break": True}])
-def test_an_interrupt_brings_the_best_clique_so_far(monkeypatch, options):
+@pytest.mark.parametrize("kind", ["plain", "weights", "tie_break"])
+def test_an_interrupt_brings_the_best_clique_so_far(monkeypatch, kind):
     adjacency = random_graph(110, 0.7, 6)
     generator = np.random.default_rng(0)
-    if "weights" in options:
-        options = {"weights": generator.integers(1, 9, 110)}
-    if "tie_break" in options:
-        options = {"tie_break": generator.random((110, 110))}
+    options: dict[str, Any] = {
+        "plain": {},
+        "weights": {"weights": generator.integers(1, 9, 110)},
+        "tie_break": {"tie_break": generator.random((110, 110))},
+    }[kind]
     full = maximum_clique(adjacency, **options)
     weights = []
     for module, reading in [("_heuristic", 1), ("_local_search", 9), ("_ties", 3), ("_lanes", 9)]:
