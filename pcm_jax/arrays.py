@@ -115,8 +115,8 @@ def as_array(values: Any, argument: str) -> np.ndarray:
         raise InputError(f"{argument}: {type(values).__name__} given, expected an array") from None
 
 
-def as_real(values: Any, argument: str) -> np.ndarray:
-    """Numbers as float64: booleans, complex and masked ones are none.
+def as_numbers(values: Any, argument: str) -> np.ndarray:
+    """Numbers as they are: booleans, complex and masked ones are none.
 
     Raises:
         InputError: for anything else.
@@ -126,7 +126,12 @@ def as_real(values: Any, argument: str) -> np.ndarray:
         kind = type(values).__name__ if array.dtype.kind == "O" else array.dtype
         masked = "masked " * isinstance(values, np.ma.MaskedArray)
         raise InputError(f"{argument}: {masked}{kind} given, expected real numbers")
-    return array.astype(np.float64)
+    return array
+
+
+def as_real(values: Any, argument: str) -> np.ndarray:
+    """Numbers as float64, see `as_numbers`."""
+    return as_numbers(values, argument).astype(np.float64)
 
 
 def bucket(size: int, *, smallest: int = SMALLEST, fine_above: int = 0) -> int:

@@ -21,15 +21,18 @@ _TILE = 512
 
 def adjacency_matrix(
     graph: Bool[np.ndarray, "m m"] | Bool[Array, "m m"] | networkx.Graph,
+    *,
+    deadline: float = np.inf,
 ) -> Bool[np.ndarray, "m m"]:
     """The graph as a symmetric bool matrix with a false diagonal.
 
     Args:
         graph: bool [m, m], symmetric, diagonal ignored (numbers are accepted if all of them are
             0 or 1); or an undirected `networkx.Graph` with the nodes 0..m-1.
+        deadline: reading of `time.perf_counter` after which symmetry is taken for granted.
 
     Returns:
-        bool [m, m], a copy.
+        bool [m, m]; not to be written to, since it is the one given where that will do.
 
     Raises:
         InputError: not square, not boolean, not symmetric, or other nodes than 0..m-1.
@@ -42,8 +45,10 @@ def adjacency_matrix(
     if values.ndim != 2 or values.shape[0] != values.shape[1]:
         raise InputError(f"graph: shape {values.shape}, expected a square matrix [m, m]")
     adjacency = _as_bool(values)
-    np.fill_diagonal(adjacency, False)
-    _check_symmetric(adjacency)
+    if adjacency.diagonal().any():
+        adjacency = adjacency.copy() if adjacency is values else adjacency
+        np.fill_diagonal(adjacency, False)
+    check_symmetric(adjacency, deadline=deadline)
     return adjacency
 
 
@@ -83,7 +88,7 @@ def _of_networkx(graph: Any) -> np.ndarray:
 
 def _as_bool(values: np.ndarray) -> np.ndarray:
     if values.dtype == bool:
-        return values.copy()
+        return values
     if values.dtype.kind not in "iuf":
         raise InputError(f"graph: dtype {values.dtype}, expected bool")
     neither = (values != 0) & (values != 1)
@@ -93,9 +98,20 @@ def _as_bool(values: np.ndarray) -> np.ndarray:
     return values != 0
 
 
-def _check_symmetric(adjacency: np.ndarray) -> None:
+def check_symmetric(adjacency: Bool[np.ndarray, "m m"], *, deadline: float = np.inf) -> None:
+    """Compares the matrix with its transpose.
+
+    Args:
+        adjacency: bool [m, m].
+        deadline: reading of `time.perf_counter` after which nothing more is compared.
+
+    Raises:
+        InputError: for the first pair that differs.
+    """
     size = adjacency.shape[0]
     for row in range(0, size, _TILE):
+        if perf_counter() > deadline:
+            return
         rows = slice(row, row + _TILE)
         for column in range(row, size, _TILE):
             columns = slice(column, column + _TILE)

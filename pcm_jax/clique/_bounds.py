@@ -17,10 +17,24 @@ from jaxtyping import Bool, Float, Int
 _TILE = 256
 
 
-def degrees(adjacency: Bool[np.ndarray, "n n"]) -> Int[np.ndarray, " n"]:
-    """Number of neighbours of every vertex, int64 [n]."""
-    packed = np.packbits(adjacency, axis=1)
-    return np.bitwise_count(packed).sum(axis=1, dtype=np.int64)
+def degrees(
+    adjacency: Bool[np.ndarray, "n n"], *, deadline: float = np.inf
+) -> Int[np.ndarray, " n"]:
+    """Number of neighbours of every vertex, int64 [n].
+
+    Args:
+        adjacency: bool [n, n].
+        deadline: reading of `time.perf_counter` after which no more are counted: the others' are
+            given as n - 1, which they do not exceed.
+    """
+    degree = np.full(len(adjacency), len(adjacency) - 1)
+    for start in range(0, len(adjacency), _TILE):
+        if perf_counter() > deadline:
+            break
+        rows = slice(start, start + _TILE)
+        packed = np.packbits(adjacency[rows], axis=1)
+        degree[rows] = np.bitwise_count(packed).sum(axis=1, dtype=np.int64)
+    return degree
 
 
 def most_members(degree: Int[np.ndarray, " n"]) -> int:
@@ -144,7 +158,7 @@ def degeneracy_order(
         TimeoutError: at the deadline.
     """
     if weights is None:
-        degree = degrees(adjacency)
+        degree = degrees(adjacency, deadline=deadline)
     else:
         degree = neighbourhood_weights(adjacency, weights, deadline=deadline)
     order = np.empty(len(degree), np.int64)

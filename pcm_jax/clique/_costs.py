@@ -6,9 +6,9 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Num
 
-from pcm_jax.arrays import as_real
+from pcm_jax.arrays import as_numbers
 from pcm_jax.errors import InputError
 
 # Rows looked at between two readings of the clock; tiles compared with their transposes.
@@ -16,29 +16,36 @@ _TILE = 256
 
 
 def checked_squared(
-    tie_break: Any, adjacency: Bool[np.ndarray, "m m"], *, least: float = -np.inf
-) -> Float[np.ndarray, "m m"]:
-    """The squared distances as float64, as they are.
+    tie_break: Any,
+    adjacency: Bool[np.ndarray, "m m"],
+    *,
+    least: float = -np.inf,
+    deadline: float = np.inf,
+) -> Num[np.ndarray, "m m"]:
+    """The squared distances, as they are.
 
     Args:
         tie_break: [m, m], of which only entries on edges count.
         adjacency: bool [m, m].
         least: no entry may be smaller.
+        deadline: reading of `time.perf_counter` after which no more of them are looked at.
 
     Raises:
         InputError: another shape, or an entry on an edge that is not finite or too small.
     """
-    squared = as_real(tie_break, "tie_break")
+    squared = as_numbers(tie_break, "tie_break")
     if squared.shape != adjacency.shape:
         raise InputError(
             f"tie_break: shape {squared.shape}, expected that of the graph, {adjacency.shape}"
         )
     for start in range(0, len(squared), _TILE):
+        if perf_counter() > deadline:
+            break
         rows = squared[start : start + _TILE]
-        right = np.isfinite(rows) & (rows >= least)
-        if right.all():
+        # One pass each, and none leaves an array behind.
+        if -np.inf < rows.min() >= least and rows.max() < np.inf:
             continue
-        wrong = adjacency[start : start + _TILE] & ~right
+        wrong = adjacency[start : start + _TILE] & ~(np.isfinite(rows) & (rows >= least))
         if wrong.any():
             i, j = np.argwhere(wrong)[0]
             if np.isfinite(rows[i, j]):
@@ -50,7 +57,7 @@ def checked_squared(
 
 
 def symmetric_costs(
-    squared: Float[np.ndarray, "m m"],
+    squared: Num[np.ndarray, "m m"],
     vertices: Int[np.ndarray, " n"],
     *,
     deadline: float = np.inf,

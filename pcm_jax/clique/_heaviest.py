@@ -7,6 +7,7 @@ largest one, and this module is not asked.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,7 @@ def heaviest_clique(
     weights: Weights,
     squared: Float[np.ndarray, "m m"] | None,
     deadline: float,
+    tell: Callable[[np.ndarray], object],
 ) -> Heavy:
     """The heaviest clique, of several the first one.
 
@@ -48,13 +50,20 @@ def heaviest_clique(
         weights: of the vertices.
         squared: distances by which equally heavy cliques are told apart; None: by index.
         deadline: reading of `time.perf_counter` at which the best so far is returned.
+        tell: takes the vertices of every better clique that is found.
     """
     found, inside, graph = _prepared(adjacency, weights, deadline)
+    tell(found)
     if graph is None:
         return Heavy(found, math.inf if inside.size else 0)
     labels = graph.labels_of(np.searchsorted(inside, found))
     labels = improved_clique(graph, labels, deadline=deadline)
-    search = heaviest_cliques(graph, labels, weights.slack, deadline=deadline)
+
+    def told(labels: list[int]) -> None:
+        tell(inside[graph.vertices_of(labels)])
+
+    told(labels)
+    search = heaviest_cliques(graph, labels, weights.slack, deadline=deadline, tell=told)
     bound = max(search.weight, graph.weight_bound(search.unsettled))
     labels = _one_of_heaviest(graph, inside, search, squared, deadline)
     return Heavy(inside[graph.vertices_of(labels)], bound)
@@ -65,15 +74,17 @@ def heavy_clique(
     weights: Weights,
     _: Float[np.ndarray, "m m"] | None,
     deadline: float,
+    tell: Callable[[np.ndarray], object],
 ) -> Heavy:
     """A heavy clique, greedily, and the bound of a weighted colouring.
 
     Args:
         adjacency: bool [m, m].
         weights: of the vertices.
-        deadline: as in `heaviest_clique`.
+        deadline, tell: as in `heaviest_clique`.
     """
     found, inside, graph = _prepared(adjacency, weights, deadline)
+    tell(found)
     if graph is None:
         return Heavy(found, math.inf if inside.size else 0)
     return Heavy(found, graph.weight_bound(graph.everything))

@@ -2,7 +2,9 @@
 
 By index means the clique whose sorted tuple of vertices is lexicographically the smallest. It is
 settled vertex by vertex: the smallest vertex that some clique of the right size contains, then
-the next given that one, each a yes-or-no search ended by its first success. Of equally heavy
+the next given that one, each by yes-or-no searches ended by their first success. As long as none
+succeeds, each asks for four times as many vertices at once: where the clique is the only one, few
+ask for all, and where there are many, the first vertices are asked for one by one. Of equally heavy
 cliques the search for them remembers all, if they are few: then it is a comparison.
 """
 
@@ -38,15 +40,28 @@ def smallest_by_index(graph: BitGraph, clique: list[int], deadline: float) -> li
     Returns:
         labels.
     """
-
-    def any_clique(chosen: list[int], candidates: int) -> list[int] | None:
-        missing = len(clique) - len(chosen)
-        if missing == 0:
-            return []
-        outcome = largest_clique(graph, candidates, missing - 1, ceiling=missing, deadline=deadline)
-        return outcome.labels
-
-    return _first_by_index(graph, clique, any_clique, deadline)
+    order = graph.labels_of(np.arange(len(graph.vertices)))
+    place = {label: at for at, label in enumerate(order)}
+    chosen: list[int] = []
+    rest, candidates, passed, most = sorted(clique, key=place.__getitem__), graph.everything, 0, 1
+    while rest and perf_counter() < deadline:
+        missing, first = len(rest), place[rest[0]]
+        before = [label for label in order[passed:first] if graph.single[label] & candidates]
+        if not before:
+            candidates &= graph.neighbours[rest[0]]
+            passed = first + 1
+            chosen.append(rest.pop(0))
+            continue
+        among = sum(graph.single[label] for label in before[:most])
+        outcome = largest_clique(
+            graph, candidates, missing - 1, among=among, ceiling=missing, deadline=deadline
+        )
+        if outcome.labels:
+            rest = sorted(outcome.labels, key=place.__getitem__)
+        else:
+            candidates &= ~among
+            most *= 4
+    return [*chosen, *rest]
 
 
 def smallest_by_total(

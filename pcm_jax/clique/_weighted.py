@@ -127,6 +127,7 @@ class Heaviest:
         complete: whether every clique as heavy is among them, once the search is through.
         unsettled: 0 after a complete search; else (time ran out) every clique heavier than `floor`
             that is not among `cliques` lies inside this set of labels.
+        tell: takes every clique that is heavier than all before.
     """
 
     weight: int
@@ -135,6 +136,7 @@ class Heaviest:
     cliques: list[tuple[int, list[int]]] = field(default_factory=list)
     complete: bool = True
     unsettled: int = 0
+    tell: Callable[[list[int]], object] | None = None
 
     def add(self, weight: int, clique: list[int]) -> None:
         """Takes a clique heavier than the floor, and raises the floor."""
@@ -142,6 +144,8 @@ class Heaviest:
             # None as heavy as this was passed over if it would have been looked for so far.
             self.complete = self.complete or weight - self.slack(weight) > self.floor
             self.weight = weight
+            if self.tell is not None:
+                self.tell(clique)
         self.cliques.append((weight, clique))
         lightest = self.weight - self.slack(self.weight)
         if not self.complete or len(self.cliques) > _REMEMBERED:
@@ -161,6 +165,7 @@ def heaviest_cliques(
     slack: Callable[[int], int],
     *,
     deadline: float = np.inf,
+    tell: Callable[[list[int]], object] | None = None,
 ) -> Heaviest:
     """The heaviest cliques of a graph.
 
@@ -169,9 +174,10 @@ def heaviest_cliques(
         clique: the labels of one, from which the search starts.
         slack: how much lighter than a weight is equal to it.
         deadline: reading of `time.perf_counter` at which the search gives up.
+        tell: takes every clique that is heavier than all before.
     """
     weight = sum(graph.weights[label] for label in clique)
-    found = Heaviest(weight, weight - slack(weight) - 1, slack, [(weight, clique)])
+    found = Heaviest(weight, weight - slack(weight) - 1, slack, [(weight, clique)], tell=tell)
     return _search(graph, graph.everything, found, np.inf, deadline)
 
 

@@ -8,6 +8,23 @@ import numpy as np
 from jaxtyping import Bool
 
 
+class CliqueInterrupt(KeyboardInterrupt):
+    """An interrupt, as by Ctrl-C, of a search for a clique, with the best answer so far.
+
+        try:
+            clique = pcm_jax.maximum_clique(consistent)
+        except pcm_jax.clique.CliqueInterrupt as interrupt:
+            clique = interrupt.clique
+
+    Attributes:
+        clique: the best one found until then; its bounds are those of the degrees.
+    """
+
+    def __init__(self, clique: Clique):
+        super().__init__(f"a clique of {clique.size} was found, none has {clique.upper_bound + 1}")
+        self.clique = clique
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Clique:
     """A clique of a graph with m nodes, with its certificate.

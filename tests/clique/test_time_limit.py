@@ -12,14 +12,18 @@ import pytest
 from sample_graphs import complete_multipartite, is_clique, planted_graph, random_graph
 
 from pcm_jax.clique import maximum_clique
+from pcm_jax.clique._adjacency import adjacency_matrix
+from pcm_jax.clique._bounds import degrees
+from pcm_jax.clique._costs import checked_squared
 from pcm_jax.clique._exact import BitGraph
 from pcm_jax.clique._ties import _CheapestClique, smallest_by_total
+from pcm_jax.errors import InputError
 
 MODULES = [
     importlib.import_module(f"pcm_jax.clique.{name}")
     for name in (
-        *("_adjacency", "_bitset", "_bounds", "_costs", "_exact", "_heuristic", "_local_search"),
-        *("_ties", "_weighted", "maximum"),
+        *("_adjacency", "_bitset", "_bounds", "_costs", "_exact", "_heuristic", "_lanes"),
+        *("_local_search", "_ties", "_weighted", "maximum"),
     )
 ]
 # Readings after the end, by stages that each find out for themselves that it is over.
@@ -130,3 +134,30 @@ def test_sorting_the_edges_for_ties_ends_with_the_time():
     with pytest.raises(TimeoutError):
         _CheapestClique(graph, squared, 5, deadline=0.0)
     assert smallest_by_total(graph, squared, clique, deadline=0.0) == clique
+
+
+def test_a_graph_without_time_for_its_check_is_named_where_it_matters():
+    with pytest.raises(InputError, match=r"graph: \[0, 1\] is True but \[1, 0\] is False"):
+        maximum_clique(np.triu(np.ones((3, 3), bool), 1), time_limit=0)
+
+
+def test_a_graph_is_copied_only_for_its_diagonal_and_never_changed():
+    adjacency = random_graph(30, 0.5, 1)
+    assert adjacency_matrix(adjacency) is adjacency
+    with_diagonal = adjacency | np.eye(30, dtype=bool)
+    assert (adjacency_matrix(with_diagonal) == adjacency).all()
+    assert with_diagonal.diagonal().all()
+
+
+def test_degrees_that_were_not_counted_in_time_are_bounds():
+    adjacency = random_graph(600, 0.5, 1)
+    counted = adjacency.sum(axis=1)
+    assert (degrees(adjacency) == counted).all()
+    assert (degrees(adjacency, deadline=0.0) == 599).all()
+
+
+def test_squared_distances_are_looked_at_until_the_time_is_over():
+    adjacency, squared = random_graph(20, 0.5, 1), np.full((20, 20), np.nan)
+    with pytest.raises(InputError, match="not finite"):
+        checked_squared(squared, adjacency)
+    assert checked_squared(squared, adjacency, deadline=0.0) is squared
