@@ -137,9 +137,10 @@ def skipped(left_out: Mapping[str, int]) -> str:
     return f"skipped {sum(left_out.values())} lines ({counts})"
 
 
-def account_of(file: PoseFile, scope: Scope | None) -> FileAccount:
-    """The account of one file."""
+def account_of(file: PoseFile, scope: Scope | None, who: str = "") -> FileAccount:
+    """The account of one file; `who` says which robots its candidates mean."""
     rule = scope.rule if scope is not None else "robots by name, candidates only"
+    rule += f" ({who})" if who else ""
     if file.candidates and scope is not None:
         rule += "; it defines no robot: its edges are candidates"
     return FileAccount(

@@ -12,10 +12,12 @@ from pcm_jax.files._components import by_components
 from pcm_jax.files._lettered import called_by_name, lettered_candidates
 from pcm_jax.files._named import assumed, named_closures
 from pcm_jax.files.account import Account, Copy, account_of
+from pcm_jax.files.names import Roster
 from pcm_jax.files.plausibility import doubts
 from pcm_jax.files.pose_file import PoseFile, Reading, without_self_loops
 from pcm_jax.files.robots import assemble
 from pcm_jax.files.scopes import scopes_of
+from pcm_jax.files.text import line_fault
 from pcm_jax.graph.copies import counted_once
 from pcm_jax.graph.loop_closures import LoopClosures
 from pcm_jax.graph.multi_robot import MultiRobotGraph
@@ -72,13 +74,27 @@ def graph_of(
     clipped = sum(file.clipped for file in files)
     notes += told(np.asarray(between.information))
     account = Account(
-        files=tuple(accounts.get(id(file)) or account_of(file, None) for file in files),
+        files=tuple(
+            accounts.get(id(file)) or account_of(file, None, _who(file, graph.names))
+            for file in files
+        ),
         copies=copies,
         notes=tuple(notes),
         doubts=() if clipped else tuple(doubts(graph.maps, between, reading.information)),
         clipped=clipped,
     )
     return graph, account
+
+
+def _who(file: PoseFile, names: Sequence[str]) -> str:
+    """Who is meant by names in a file of candidates that are no robot's own; "" for none."""
+    if file.named is None or file.lettered:
+        return ""
+    fault = line_fault(file.path, file.edges.line)
+    try:
+        return Roster(names).told(file.named.ravel().tolist(), fault)
+    except FileFormatError:  # of candidates that were left out
+        return ""
 
 
 def _with_information(

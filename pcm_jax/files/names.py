@@ -111,6 +111,18 @@ class Roster:
             return {self.by_name[stem]}
         return {way[value] for way in (self.by_number, self.by_place) if value in way}
 
+    def told(self, values: Sequence[str], fault: Fault) -> str:
+        """Says who is meant by values that are no robot's own name: "0 is left, 1 is right".
+
+        Raises:
+            InputError: as `indices`.
+        """
+        different = sorted(set(values) - set(self.by_name))
+        found = dict(zip(different, self.indices(different, fault).tolist(), strict=True))
+        return ", ".join(
+            f"{value} is {self.names[index]}" for value, index in found.items() if index >= 0
+        )
+
     def expected(self) -> str:
         """The names to choose from, for messages."""
         return ", ".join(self.by_letter | self.by_name)

@@ -389,6 +389,14 @@ def test_robots_by_name_number_or_letter(account, names, called, robots):
     assert [graph.closures.robot_a[0], graph.closures.robot_b[0]] == robots
 
 
+def test_robots_by_their_place_are_told(account):
+    maps = [chain(range(2), flat)] * 2
+    _, told = account(*maps, closures=["0,0,1,1,1,0,0"], names=("north", "south"))
+    assert told.files[2].ids == "robots by name, candidates only (0 is north, 1 is south)"
+    _, told = account(*maps, closures=["south,0,north,1,1,0,0"], names=("north", "south"))
+    assert told.files[2].ids == "robots by name, candidates only"
+
+
 @pytest.mark.parametrize(
     ("names", "called"), [(("beta", "alpha"), "a"), (("alpha", "delta", "bravo"), "b")]
 )
