@@ -22,7 +22,7 @@ output          files that are written whole or not at all
 
 | format | holds | read | written | information | priors | times | labels |
 | --- | --- | --- | --- | --- | --- | --- | --- |
-| csv | candidate closures | yes | .csv | kept; standard deviations too; the maps' median where none is given | none | none | kept (is_true) |
+| csv | candidate closures | yes | .csv | kept; standard deviations and covariances too; the maps' median where none is given | none | none | kept (is_true) |
 | euroc | a trajectory, 3D | yes | no | of each step: --sigmas M RAD | none | kept | none |
 | g2o | pose graphs, 2D and 3D | yes | .g2o | kept | kept | hdl_graph_slam's | none |
 | isam | measurements between poses, 2D and 3D | yes | no | kept, turned into the end frame | none | none | none |

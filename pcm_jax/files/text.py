@@ -217,7 +217,7 @@ def table_rows(path: str, lines: Sequence[str]) -> Rows:
 
 
 def delimiter_of(line: str) -> str | None:
-    """What is between a line's columns: a semicolon, tab or comma, else blanks; None for one."""
+    """The mark between a line's columns: a semicolon, tab or comma, else blanks; None for one."""
     found = next((mark for mark in ";\t," if mark in line), None)
     return " " if found is None and " " in line.strip() else found
 

@@ -1,4 +1,4 @@
-"""How finely measurements were printed, told by their numbers.
+"""Numbers of decimals that measurements were printed with, told by the numbers.
 
 A number that is a whole multiple of 10⁻ⁿ was most likely printed with n decimals. A float of full
 precision is none of a multiple that coarse, and short numbers ("1.5") are as likely meant exactly,
@@ -44,7 +44,7 @@ def steps(parameters: Float[np.ndarray, "k p"]) -> Steps:
 
 
 def _filled(shift: np.ndarray, turn: np.ndarray, factor: float) -> Steps:
-    """Where a number happens to end in zeros the others' decimals are its own."""
+    """Steps of both, one from the other where its numbers happen to end in zeros."""
     finest = 10.0**-FEWEST
     return Steps(
         np.where(shift > 0.0, shift, turn),

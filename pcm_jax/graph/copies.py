@@ -115,7 +115,7 @@ def _rounding(
     turned: Bool[np.ndarray, " k"],
     matrices: Float[np.ndarray, "n s s"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """How far two statements of one measurement may be apart by rounding: metres, radians.
+    """Bounds on how far two statements of one measurement are apart by rounding: metres, radians.
 
     Stated alike and with as many digits they are equal, if at all.
     """

@@ -52,7 +52,7 @@ Entry = tuple[str, int, int]  # the kind and the directions that a column speaks
 
 
 def entry_of(name: str, d: int) -> Entry | None:
-    """What a column of a name states of a measurement with d directions; None for another name."""
+    """The statement of a column by its name, on d directions; None for another name."""
     if name in PRECISIONS:
         return ("precision", PRECISIONS[name], PRECISIONS[name]) if d == 6 else None
     found = _NAME.fullmatch(name)

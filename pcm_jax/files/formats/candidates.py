@@ -388,7 +388,8 @@ CANDIDATES = register(
         read=read_candidates,
         write=write_candidates,
         suffixes=(".csv",),
-        information="kept; standard deviations too; the maps' median where none is given",
+        information="kept; standard deviations and covariances too; the maps' median where none is"
+        " given",
         labels="kept (is_true)",
     )
 )
