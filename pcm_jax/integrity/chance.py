@@ -275,7 +275,7 @@ class _Graph(NamedTuple):
         return maximum_clique(self.adjacent, time_limit=limit).members
 
     def tightest(self, limit: float | None) -> Bool[np.ndarray, " n"]:
-        """Of the largest sets the one of least total."""
+        """The largest set of least total."""
         return maximum_clique(self.adjacent, tie_break=self.squared, time_limit=limit).members
 
     def total(self, members: Bool[np.ndarray, " n"]) -> float:
