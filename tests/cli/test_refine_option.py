@@ -11,14 +11,14 @@ A, B = ord("a") << 56, ord("b") << 56
 
 @pytest.fixture(scope="module")
 def with_a_near_miss(tmp_path_factory):
-    """Two lines of 30 poses; nine closures to 0.1 m, of which two lie 0.4 m to either side."""
+    """Two lines of 30 poses; nine closures to 0.1 m, of which two lie 0.26 m to either side."""
     lines = []
     for robot in (A, B):
         lines += [f"VERTEX_SE2 {robot + k} {k} 0 0" for k in range(30)]
         lines += [
             f"EDGE_SE2 {robot + k} {robot + k + 1} 1 0 0 1e4 0 0 1e4 0 1e6" for k in range(29)
         ]
-    errors = [0.0, 0.01, -0.01, 0.02, -0.02, 0.0, 0.0, 0.26, -0.26]
+    errors = [0.1, -0.1, 0.12, -0.12, 0.06, -0.06, 0.0, 0.26, -0.26]
     lines += [
         f"EDGE_SE2 {A + 3 * k} {B + 3 * k} {error} 0 0 100 0 0 100 0 1e4"
         for k, error in enumerate(errors)
