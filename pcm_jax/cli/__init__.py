@@ -43,9 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from pcm_jax.cli.entry import run
 
         return run(arguments)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:  # a search for a clique says what it had found
         if sys.stderr is not None:
-            print("interrupted", file=sys.stderr)
+            print(f"interrupted: {interrupt}" if interrupt.args else "interrupted", file=sys.stderr)
         return INTERRUPTED
 
 

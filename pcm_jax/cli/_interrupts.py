@@ -43,7 +43,8 @@ class Interrupts:
         for name, handler in self._before.items():
             signal.signal(name, handler)
         if self._came:  # swallowed, or turned into another error, as when NumPy is being imported
-            raise KeyboardInterrupt from None
+            found = error.args if isinstance(error, KeyboardInterrupt) else ()
+            raise KeyboardInterrupt(*found) from None
 
     def _handle(self, number: int, frame: Any) -> None:
         if not self._came and TIMED:

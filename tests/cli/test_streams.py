@@ -1,13 +1,17 @@
 """Ctrl-C, closed streams, and text that a stream cannot encode."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
+import threading
 
+import numpy as np
 import pytest
 
-from pcm_jax.cli import entry, main
+from pcm_jax.cli import entry, formats, main
+from pcm_jax.clique import maximum_clique
 
 EDGES = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 
@@ -53,6 +57,20 @@ def test_an_interrupt_is_one_line_and_restores_what_was_there(monkeypatch, capsy
     assert main(["formats"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
     assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+
+
+def test_an_interrupted_search_says_what_it_had_found(monkeypatch, capsys):
+    graph = np.random.default_rng(0).uniform(size=(400, 400)) < 0.85
+
+    def searched(options):
+        del options
+        threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()
+        maximum_clique(graph & graph.T & ~np.eye(400, dtype=bool))
+
+    monkeypatch.setattr(formats, "run", searched)
+    assert main(["formats"]) == 130
+    told = capsys.readouterr().err
+    assert re.fullmatch(r"interrupted: a clique of \d\d was found, none has \d+\n", told)
 
 
 def test_names_that_standard_output_cannot_encode(tmp_path):
