@@ -43,6 +43,8 @@ from pcm_jax.sparse.inverse import (
 from pcm_jax.sparse.system import system_for
 
 SIDES = ("right", "left")
+RIGHT_SIDES = 4
+"""By which the loss of digits is measured: of one alone an entry may be small by accident."""
 LOST = 1e-3
 """Share of a covariance that rounding may take without a word."""
 COMPILED_FROM = 8192
@@ -358,24 +360,29 @@ def _lost(
     ends: Int[np.ndarray, "2 e"],
     free: Bool[np.ndarray, " n"],
 ) -> float:
-    """The share of a random x that H⁻¹ (H x) misses: a few times what rounding costs covariances.
+    """The largest share of a solution H⁻¹ b that rounding takes: as much as of a covariance.
 
-    Against sixty digits, of maps whose edges span 6 to 14 orders: 3 to 20 times the largest error
-    of a covariance, over the two standard deviations.
+    Found by one step of iterative refinement, δ = H⁻¹ (b − H x), for a few b in the units of the
+    poses' own information, and measured entry by entry, δ over x. Against sixty digits, of maps
+    whose edges span 0 to 14 orders, it is 0.7 to 2.3 times the largest error of a covariance over
+    the two standard deviations.
     """
-    count, d = len(free), products.shape[-1]
-    x = np.random.default_rng(0).normal(size=(count, d)) * free[:, None]
     of_tail, of_head, across = products[:, : ends.shape[1]]
-    tail, head = x[ends[0]], x[ends[1]]
-    image = np.zeros((count, d))
-    np.add.at(image, ends[0], _times(of_tail, tail) + _times(across.swapaxes(1, 2), head))
-    np.add.at(image, ends[1], _times(of_head, head) + _times(across, tail))
-    found = factor.solve((image * free[:, None]).ravel()).reshape(count, d)
-    return float(np.abs(found - x).max(initial=0.0))
-
-
-def _times(matrices: Any, vectors: Any) -> Float[np.ndarray, "e d"]:
-    return np.einsum("eij,ej->ei", matrices, vectors)
+    diagonal = np.zeros((len(free), products.shape[-1]))
+    np.add.at(diagonal, ends[0], np.diagonal(of_tail, axis1=1, axis2=2))
+    np.add.at(diagonal, ends[1], np.diagonal(of_head, axis1=1, axis2=2))
+    shape = (*diagonal.shape, RIGHT_SIDES)
+    held = free[:, None, None]
+    right = np.random.default_rng(0).normal(size=shape) * np.sqrt(diagonal)[..., None] * held
+    found = factor.solve(right.reshape(-1, RIGHT_SIDES)).reshape(shape)
+    tail, head = found[ends[0]], found[ends[1]]
+    left = right.copy()
+    np.subtract.at(left, ends[0], of_tail @ tail + across.swapaxes(1, 2) @ head)
+    np.subtract.at(left, ends[1], of_head @ head + across @ tail)
+    left = (left * held).reshape(-1, RIGHT_SIDES)
+    missed = factor.solve(left).reshape(shape)[free]
+    lost = np.sqrt((missed**2).sum(axis=2) / (found[free] ** 2).sum(axis=2))
+    return float(lost.max(initial=0.0))
 
 
 def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
