@@ -64,6 +64,7 @@ def test_threads_share_an_account():
     assert sum(answers) == 400
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["city", "sessions"])
 def test_a_first_merge_compiles_nothing(kind):
     """A fresh process, as of somebody who types the first command."""

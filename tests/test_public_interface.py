@@ -65,6 +65,7 @@ def test_names_for_type_checkers_are_the_names_that_load():
         assert getattr(importlib.import_module(module), name) is getattr(pcm_jax, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", pcm_jax._MODULES)
 def test_modules_need_no_second_import(name):
     """In a process in which nothing else has imported them; the pictures load no matplotlib."""

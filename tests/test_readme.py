@@ -96,6 +96,7 @@ def test_the_reason_why_is_the_committed_table():
     assert said in " ".join(TEXT.split())
 
 
+@pytest.mark.slow
 def test_python(names):
     world = simulate_city(**WORLD)
     accepted = names["result"].accepted
@@ -124,6 +125,7 @@ def test_python_of_evidence(names):
     np.testing.assert_array_equal(names["chosen"], names["clique"].members)
 
 
+@pytest.mark.slow
 def test_commands():
     """In the page's order, and so in one test: later ones use what earlier ones wrote."""
     for line in COMMANDS:

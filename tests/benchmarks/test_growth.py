@@ -16,6 +16,7 @@ def small(monkeypatch):
     monkeypatch.setattr(growth, "_apart", growth.grown)
 
 
+@pytest.mark.slow
 def test_growth(small, tmp_path, capsys):
     arguments = ["--closures", "60", "40", "--out", str(tmp_path)]
     assert growth.main(arguments) == 0

@@ -28,6 +28,7 @@ def chunks_of_100(monkeypatch):
     monkeypatch.setattr(one_dimensional_world, "SOURCES", ())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("chunks_of_100")
 def test_shape_of_the_result_and_resuming(tmp_path, monkeypatch):
     summary = run(tmp_path, "--worlds", "250")

@@ -13,6 +13,7 @@ def here(monkeypatch):
     monkeypatch.setattr(online, "_apart", online.measured)
 
 
+@pytest.mark.slow
 def test_online(here, tmp_path, capsys):
     size = ["--closures", "60", "--right", "12", "--poses", "60"]
     assert online.main([*size, "--out", str(tmp_path)]) == 0

@@ -67,6 +67,7 @@ def test_lever_arm_of_a_truth_that_is_of_another_point(square_walk_files):
     assert real.lever_arm(moved) == pytest.approx(np.hypot(2.0, 0.5), abs=0.05)
 
 
+@pytest.mark.slow
 def test_results_of_one_and_of_two_robots(square_walk_files, tmp_path, monkeypatch):
     arms = {
         "two-robots": Arm("odometry", "as-written", FEW),

@@ -32,6 +32,7 @@ def size_tasks(options, seed):
     return {f"size, {n} right, gate 0.99 #{seed}": partial(dict, methods=methods) for n in (5, 50)}
 
 
+@pytest.mark.slow
 def test_one_command_writes_all_and_resumes(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(study.TASKS, "csail", small_tasks)
     monkeypatch.setitem(study.TASKS, "size", size_tasks)

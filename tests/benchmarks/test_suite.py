@@ -145,6 +145,7 @@ def test_a_row_without_data_or_peer_says_why(tmp_path, monkeypatch, capsys):
     assert gtsam.Pose2 is not None
 
 
+@pytest.mark.slow
 def test_one_subject_from_the_command_line(tmp_path, capsys):
     assert main(["--quick", "--only", "cliques/planted", "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -83,6 +83,7 @@ def test_inverted_closures_are_told(run, tmp_path):
     assert "inverted" not in run("merge", tmp_path / "right.g2o").out.replace("inverted.g2o", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "told"),
     [

@@ -68,6 +68,7 @@ def test_closures_come_with_the_later_of_their_poses(city):
     assert lines is closures
 
 
+@pytest.mark.slow
 def test_follows_a_file_that_grows(city, tmp_path):
     graph = read_graph(city / "graph.g2o")
     path = tmp_path / "growing.g2o"

@@ -62,6 +62,7 @@ def graphs(number: int):
         yield seed, adjacency
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("constants", ON_LANES)
 def test_members_are_those_of_the_search_one_by_one(monkeypatch, runs, constants):
     for seed, adjacency in graphs(120):

@@ -176,6 +176,7 @@ def test_size_does_not_change_under_permutation(size, density, seed):
     assert members(maximum_clique(adjacency)) == members(clique)
 
 
+@pytest.mark.slow
 def test_cliques_deeper_than_the_recursion_limit():
     graph = ~np.eye(1100, dtype=bool)
     graph[3, 7] = graph[7, 3] = False

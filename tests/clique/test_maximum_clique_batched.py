@@ -51,6 +51,7 @@ def test_sizes_around_and_beyond_the_words(size, count, densest):
     assert_same_as_one_by_one(random_graphs(count, size, size, densest))
 
 
+@pytest.mark.slow
 def test_hubs_in_sparse_surroundings():
     """Branches that take fewer colours than they may: what is left is no other branch's."""
     rng = np.random.default_rng(33)

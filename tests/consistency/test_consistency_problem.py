@@ -111,6 +111,7 @@ def test_bad_marginals(world, damage, message):
         consistency_problem(*world, marginals=(side_a, damage(side_b)))
 
 
+@pytest.mark.slow
 def test_64_bit_results_without_the_64_bit_setting():
     """In a program that never enables it: float64 in, float64 out, and the setting untouched."""
     program = """

@@ -92,6 +92,7 @@ def test_two_closures_have_the_distance_of_the_paper(group):
             assert apart.chi2 == pytest.approx(max(squared[u, v], squared[v, u]), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_chi2_is_what_merging_costs(group):
     for seed in range(3):
         maps, closures, before, truth, evidence = world_of(group, seed, sigma=1e-3)
@@ -104,6 +105,7 @@ def test_chi2_is_what_merging_costs(group):
         assert (np.abs(lie.log(lie.between(joint.alignment, truth))) < 5 * deviation).all()
 
 
+@pytest.mark.slow
 def test_the_difference_is_what_sharing_an_alignment_costs(group):
     for seed in range(3):
         maps, closures, _, truth, evidence = world_of(group, seed, sigma=1e-3)
@@ -150,6 +152,7 @@ def drawn(request):
     return found.dof, np.array(joint), np.array(halves)
 
 
+@pytest.mark.slow
 def test_right_closures_have_uniform_p_values(drawn):
     dof, joint, halves = drawn
     assert joint[:, 0].mean() == pytest.approx(dof, abs=4 * np.sqrt(2 * dof / WORLDS))

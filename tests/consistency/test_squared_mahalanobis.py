@@ -36,6 +36,7 @@ def assert_same(found, expected, tolerance):
     np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_closed_form_is_the_definition(problem, squared):
     definition = squared_mahalanobis(problem, kernel="jacfwd")
     assert squared.shape == (COUNT, COUNT)
@@ -126,6 +127,7 @@ def several_tiles(world):
     return worlds.random_closures(closures.group, np.random.default_rng(4), map_a, map_b, 150)
 
 
+@pytest.mark.slow
 def test_several_tiles(world):
     closures = several_tiles(world)
     found = np.asarray(squared_mahalanobis(consistency_problem(*world[:2], closures)))
@@ -161,6 +163,7 @@ def test_inside_jit_padding_is_infinite(problem, squared):
     assert np.isposinf(rest).all()
 
 
+@pytest.mark.slow
 def test_vmap_over_robot_pairs(world):
     map_a, map_b, closures = world
     rng = np.random.default_rng(5)

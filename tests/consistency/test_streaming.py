@@ -44,6 +44,7 @@ def plane():
     return make_world(jaxlie.SE2, seed=5)
 
 
+@pytest.mark.slow
 def test_same_bits_as_the_dense_graph(group):
     world = make_world(group, seed=3)
     touched = np.asarray(world[2].pose_a)

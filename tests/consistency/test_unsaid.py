@@ -102,6 +102,7 @@ def test_a_closure_that_says_all_is_judged_by_what_the_other_says():
     np.testing.assert_allclose(squared[6, 7], np.asarray(pcm.squared_mahalanobis(whole))[6, 7])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group, said", [(jaxlie.SE2, (0, 1)), (jaxlie.SE3, NO_TILT)])
 def test_the_definition_has_the_same_limit(group, said):
     problem = problem_of(group, said, rows=slice(0, 5))
@@ -132,6 +133,7 @@ def test_what_stands_for_the_unbounded_variance_does_not_count():
     )
 
 
+@pytest.mark.slow
 def test_the_compiled_kernel_is_that_of_numpy_and_has_a_gradient():
     problem = problem_of(jaxlie.SE2, (0, 1), count=5)
 
@@ -167,6 +169,7 @@ def test_a_tilt_of_rounding_makes_no_new_direction():
     np.testing.assert_allclose(squared, straight, rtol=1e-2, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_right_planar_pairs_pass_a_gate_of_their_own_as_often_as_it_says():
     passed, worlds = 0, 200
     gate = float(pcm.chi2_gate(0.95, dof=6))

@@ -51,6 +51,7 @@ def assert_same(found, expected, tolerance):
     np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_closed_form_is_the_definition(problem, squared):
     definition = np.asarray(squared_mahalanobis(problem, kernel="jacfwd"))
     assert squared[OFF_DIAGONAL].min() > 1e-3  # relative errors mean something
@@ -279,6 +280,7 @@ def test_several_tiles():
     assert_same(found[np.ix_(part[59:] - 59, part[59:] - 59)], expected, 1e-9)
 
 
+@pytest.mark.slow
 def test_inside_jit_padding_is_infinite(problem, squared, own):
     padded = np.asarray(jax.jit(squared_mahalanobis)(problem))
     assert_same(padded[:COUNT, :COUNT], squared, 1e-12)
@@ -319,6 +321,7 @@ def test_derivatives():
     np.testing.assert_allclose(slope, difference, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_gradients_by_transposition():
     """Of the sum over all pairs, with respect to what odometry has added up to each pose."""
     problem = within_problem(random_chain(jaxlie.SE2, seed=7, poses=POSES, count=COUNT))

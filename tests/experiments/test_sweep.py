@@ -23,6 +23,7 @@ def whole(tmp_path_factory):
     return rows_of(small_sweep(tmp_path_factory.mktemp("sweep"), progress=lambda *_: None))
 
 
+@pytest.mark.slow
 def test_rows_are_what_the_host_finds(whole):
     """World by world: the key that names it, the host's method on its Q, metrics in NumPy."""
     draw = jax.jit(lambda key: simulate_chains(key, **LAW))

@@ -30,6 +30,7 @@ def poses_error(first, second):
     return np.abs(lie.log(lie.between(lie.as_numpy(first), lie.as_numpy(second)))).max()
 
 
+@pytest.mark.slow
 def test_every_single_robot_file_has_the_manifests_counts(shared_data, manifest):
     rows = [row for row in manifest if "multirobot" not in row["file"]]
     assert len(rows) > 20

@@ -80,6 +80,7 @@ def test_portions_do_not_change_the_loops(group, monkeypatch):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
+@pytest.mark.slow
 @both_groups
 def test_misses_and_sigmas_by_automatic_differentiation(group):
     """The loop of eq. 4, its lengths, and their derivatives by each of the seven errors."""
@@ -223,6 +224,7 @@ def test_standings_by_their_meaning(group):
             assert pair.verdict.rival.members[np.searchsorted(pair.closures, one.index)]
 
 
+@pytest.mark.slow
 @both_groups
 def test_streamed_distances_give_the_same(group):
     evidence, result = evidence_and_result(group)

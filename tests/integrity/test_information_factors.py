@@ -86,6 +86,7 @@ def test_known_factors_lie_in_their_intervals(calibration):
         assert 0.7 < factor / stated < 1.4
 
 
+@pytest.mark.slow
 def test_intervals_cover():
     """All four, of 20 worlds; benchmarks.calibration_coverage has 200."""
     covered = []

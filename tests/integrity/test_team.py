@@ -32,6 +32,7 @@ def team_of(group, robots, generator, pairs=None, wrong=()):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robots", [3, 4])
 def test_cycles_close_as_often_as_they_say(group, robots):
     generator = np.random.default_rng(0)

@@ -134,6 +134,7 @@ def test_numpy_and_jax_give_the_same_numbers(group):
         np.testing.assert_allclose(function(host), function(device), rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.slow
 @groups
 def test_jit_vmap_and_batch_axes(group):
     tangent = jnp.asarray(draw(group, 12, 13))

@@ -187,6 +187,7 @@ def test_jaxlie_itself_would_fail_here():
     assert relative_error(theirs, ours).max() > 1e3 * TOLERANCE
 
 
+@pytest.mark.slow
 def test_derivatives_are_finite_and_right_at_zero(reference):
     group = reference["group"]
     zero = jnp.zeros(lie.tangent_dim(group))
@@ -204,6 +205,7 @@ def test_derivatives_are_finite_and_right_at_zero(reference):
     np.testing.assert_allclose(second, 0.0, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["right_jacobian", "right_jacobian_inverse"])
 def test_second_derivatives_of_the_jacobians_are_finite_at_zero(reference, name):
     group = reference["group"]

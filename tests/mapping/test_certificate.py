@@ -159,6 +159,7 @@ def test_maps_of_one_pose_and_maps_with_priors():
         certify(dataclasses.replace(one, priors=priors))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_the_published_minima(shared_data, name):
     (graph,) = read_graph(shared_data / "classic3d" / name).maps

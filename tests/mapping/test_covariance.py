@@ -228,6 +228,7 @@ def tangled_world(rng, group=jaxlie.SE2, poses=8):
     return truth, graph
 
 
+@pytest.mark.slow
 def test_marginals_are_honest(group):
     """Errors of optimised poses, weighed by their joint covariance, are χ² over 400 worlds."""
     from scipy.stats import chi2, kstest

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from pcm_jax import lie
 from pcm_jax.mapping._linearization import linearize, retract, whitened_residual
@@ -10,6 +11,7 @@ from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
 
 
+@pytest.mark.slow
 def test_jacobians_are_the_derivatives_of_the_residual(group, make_map):
     graph = make_map(group, poses=7, loops=4, noise=0.3)
     edges = jax.tree.map(jnp.asarray, padded_edges(*host_arrays(graph), size=256))

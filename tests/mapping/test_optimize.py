@@ -48,6 +48,7 @@ def gradient(graph):
     return np.asarray(slope_at(graph.poses, padded_edges(*host_arrays(graph), size=256), zero))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("initial", STARTS)
 def test_the_gradient_vanishes_at_the_optimum(group, make_map, initial, solver):
@@ -61,6 +62,7 @@ def test_the_gradient_vanishes_at_the_optimum(group, make_map, initial, solver):
     np.testing.assert_allclose(first[1], first[0], atol=1e-14)
 
 
+@pytest.mark.slow
 def test_starts_solvers_and_engines_agree(group, make_map):
     pytest.importorskip("sparsax")
     graph = make_map(group, poses=60, loops=40, noise=0.05)
@@ -225,6 +227,7 @@ def jacobian(group, make_map):
     return BlockJacobian(*map(jnp.asarray, parts)), jnp.asarray(residual), free
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [None, 0.0, 0.3])
 def test_operators_are_what_their_products_say(jacobian, damping):
     """`mv`, `as_matrix`, `transpose` and the structures are of one matrix, damping included."""
@@ -349,6 +352,7 @@ REAL = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pcm_jax.errors.InputWarning")
 @pytest.mark.parametrize("name", REAL)
 def test_costs_of_public_graphs(shared_data, name):

@@ -239,6 +239,7 @@ def small_problem(group):
     return MultiRobotGraph(tuple(maps), world.graph.closures), world.is_true
 
 
+@pytest.mark.slow
 def test_gnc_finds_the_known_minimum(group):
     """The least of all 2⁷ subsets of closures and loops, each solved."""
     graph, is_true = small_problem(group)

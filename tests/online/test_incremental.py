@@ -58,6 +58,7 @@ def test_the_public_name():
     assert pcm_jax.IncrementalPcm is IncrementalPcm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_in_any_order_it_ends_with_the_batch(graph, seed):
     order = np.random.default_rng(seed).permutation(len(graph.closures))
@@ -80,6 +81,7 @@ def test_a_real_set_in_random_order(shared_data):
     assert 2 * batch.accepted.sum() == len(order)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

@@ -222,3 +222,4 @@ Steps.TestCase.settings = settings(
     suppress_health_check=(HealthCheck.too_slow, HealthCheck.data_too_large),
 )
 TestSteps = Steps.TestCase
+TestSteps.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]

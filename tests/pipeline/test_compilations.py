@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 
 from pcm_jax.compiling import ALWAYS
 from pcm_jax.pipeline import merge
@@ -15,6 +16,7 @@ jax.monitoring.register_event_duration_secs_listener(
 )
 
 
+@pytest.mark.slow
 def test_ten_robot_pairs_compile_once_or_twice(monkeypatch):
     """Every program of a merge, for ten pairs of 60 to 240 poses and 9 to 60 closures."""
     monkeypatch.setenv(ALWAYS, "always")

@@ -61,6 +61,7 @@ def test_a_map_is_optimised_and_factorised_once(world, calls):
     assert calls.counts == {"optimize": 3, "covariance_factor": 3, "weighed_on_host": 3}
 
 
+@pytest.mark.slow
 def test_asking_again_costs_no_optimisation_no_marginals_and_no_q(evidence, calls):
     for method in ("pcm-exact", "ransac", "scgp"):
         for confidence in (0.5, 0.99):
@@ -70,6 +71,7 @@ def test_asking_again_costs_no_optimisation_no_marginals_and_no_q(evidence, call
     assert calls.counts == {}
 
 
+@pytest.mark.slow
 def test_streamed_evidence_weighs_once_a_gate(world, calls):
     found = weigh(world.graph, memory_limit=0)
     select(found, confidence=0.5)  # the maps are factorised here
@@ -81,6 +83,7 @@ def test_streamed_evidence_weighs_once_a_gate(world, calls):
         select(found, method="ransac")
 
 
+@pytest.mark.slow
 def test_evidence_answers_as_the_graph_does(world, evidence):
     for options in ({}, {"confidence": 0.5}, {"method": "pcm-heuristic"}):
         direct, asked = select(world.graph, **options), select(evidence, **options)

@@ -84,6 +84,7 @@ def with_explicit_anchors(graph, accepted, start):
     return poses, anchors, 0.5 * float(r @ r)
 
 
+@pytest.mark.slow
 def test_the_merged_frame_is_the_anchored_problem():
     """The same optimum and anchors as with anchors as unknowns, on a small case."""
     world = simulate_city(seed=5, poses=14, inliers=4, aliased_groups=0, random=2)
@@ -226,6 +227,7 @@ def test_too_few_inliers_accept_none(world):
     assert result.groups == ((0,), (1,))
 
 
+@pytest.mark.slow
 def test_accepting_everything_is_reported_as_what_it_is(world):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", InputWarning)

@@ -30,6 +30,7 @@ def answer(graph):
     return [np.asarray(leaf) for leaf in jax.tree.leaves((result.accepted, numbers))]
 
 
+@pytest.mark.slow
 def test_eight_threads_give_the_bits_of_one_after_another(graphs):
     expected = [answer(graph) for graph in graphs]
     together = Barrier(THREADS)

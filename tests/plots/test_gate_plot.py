@@ -98,6 +98,7 @@ def test_a_mode_is_not_cut_where_other_pairs_begin_beside_it():
     assert found.as_stated
 
 
+@pytest.mark.slow
 def test_clutter_alone_is_not_taken_for_right_pairs():
     generator = np.random.default_rng(3)
     for _ in range(20):

@@ -115,6 +115,7 @@ def test_every_page_is_quiet_and_fits(opened, name, size, theme):
     assert drawn == page.locator("[data-draw]").count() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "size", "theme"),
     [

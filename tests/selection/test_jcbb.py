@@ -136,6 +136,7 @@ def doubtful(group, seed, count, squared=2.2):
     return evidence_of(maps, closures_off_by(group, maps, pose_a, pose_b, tangents))
 
 
+@pytest.mark.slow
 def test_equals_enumeration(group):
     gate = float(chi2_gate(0.99, lie.tangent_dim(group)))
     repaired = 0

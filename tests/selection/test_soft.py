@@ -39,6 +39,7 @@ def with_unique_maximum(graphs, members):
     return unique
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "planted", "density"), [(300, (10, 15), (0.05, 0.3)), (150, (0, 6), (0.5, 0.6))]
 )
