@@ -95,6 +95,8 @@ def weigh(
     tell, watch = progress or silent, StopWatch()
     with watch("optimize"):
         maps = optimized_maps(graph.maps, optimized, tell)
+        for one in maps if optimized else ():
+            _tell_if_not_at_rest(one)
     covariances = tuple(map(MapCovariance, maps))
     pairs, between = [], graph.closures.pairs()
     for number, (a, b) in enumerate(between):
@@ -133,8 +135,6 @@ def optimized_maps(
         initial: where `optimize` starts.
     """
     if optimized:
-        for one in maps:
-            _tell_if_not_at_rest(one)
         return maps
     found = []
     for number, one in enumerate(maps):
@@ -157,7 +157,7 @@ def _tell_if_not_at_rest(pose_graph: PoseGraph) -> None:
                 f" chi-squared of {2.0 * step.initial_cost:.4g} by {changed:.2g}; expected maps as"
                 " pcm_jax.optimize returns them, else distances are wrong"
             ),
-            stacklevel=4,
+            stacklevel=3,
         )
 
 
