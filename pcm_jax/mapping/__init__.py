@@ -14,6 +14,7 @@ Data walks through this folder once:
     certificate         whether no other poses can fit better
     optimization        `optimize`, what users call
     _odometry           the steps by which a map has grown
+    _lost_digits        the share of covariances that rounding takes
     covariance          `MapCovariance` of the poses at the optimum
     implicit            the optimum as a differentiable function of its data
 """
