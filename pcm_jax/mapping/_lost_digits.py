@@ -17,7 +17,7 @@ def lost_digits(
     ends: Int[np.ndarray, "2 e"],
     free: Bool[np.ndarray, " n"],
 ) -> float:
-    """Measures the largest share of a solution H⁻¹ b that rounding takes, as it does of covariances.
+    """Measures the largest share of a solution H⁻¹ b that rounding takes, as of covariances.
 
     Found by one step of iterative refinement, δ = H⁻¹ (b − H x), for a few b in the units of the
     poses' own information, and measured entry by entry, δ over x. Against sixty digits, of maps
