@@ -4,6 +4,7 @@ entry        runs a command; errors and warnings become lines on standard error
 _interrupts  Ctrl-C, wherever it comes
 _arguments   the options of all commands
 _evaluate_arguments, _stream_arguments     those of two of them
+_values      the options' texts as values
 _cache       compiled programs kept on disk between commands
 _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds

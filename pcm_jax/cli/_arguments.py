@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 from pcm_jax import __version__
 from pcm_jax.cli._evaluate_arguments import add_evaluate_options
 from pcm_jax.cli._stream_arguments import add_stream_options
+from pcm_jax.cli._values import minimum_inliers, positive, seconds
 
 DEMO_PICTURE = Path("pcm-jax-demo.png")
 DEMO_PAGE = Path("pcm-jax-demo.html")
@@ -119,7 +120,7 @@ def _merge(commands: Any) -> None:
     )
     merge.add_argument(
         "--minimum-inliers",
-        type=_minimum,
+        type=minimum_inliers,
         metavar="chance|N",
         help="chance: two robots are merged if closures of which none is right would hardly agree "
         "as well as those that do; N: if as many closures agree (default: chance; 2 for robust "
@@ -154,7 +155,7 @@ def _merge(commands: Any) -> None:
     )
     merge.add_argument(
         "--time-limit",
-        type=_seconds,
+        type=seconds,
         metavar="S",
         help="seconds for each robot pair's clique search (and each map's, see --clean-maps)",
     )
@@ -251,14 +252,14 @@ def _calibrate(commands: Any) -> None:
     )
     calibrate.add_argument(
         "--drift",
-        type=_positive,
+        type=positive,
         nargs=2,
         metavar=("PERCENT", "DEG_PER_M"),
         help="odometry's error after 100 m, in place of the information that files state",
     )
     calibrate.add_argument(
         "--closure-sigmas",
-        type=_positive,
+        type=positive,
         nargs=2,
         metavar=("M", "RAD"),
         help="standard deviations of closures, in place of the information that files state",
@@ -307,31 +308,6 @@ def _simulate(commands: Any) -> None:
             command.add_argument(
                 option, type=kind, metavar=metavar, help=meaning, default=argparse.SUPPRESS
             )
-
-
-def _minimum(text: str) -> int | str:
-    if text == "chance":
-        return text
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}, expected chance or a number of closures"
-        ) from None
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not seconds > 0.0:
-        raise argparse.ArgumentTypeError(f"{text} given, expected seconds above 0")
-    return seconds
-
-
-def _positive(text: str) -> float:
-    number = float(text)
-    if not 0.0 < number < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} given, expected a number above 0")
-    return number
 
 
 def _files(command: argparse.ArgumentParser) -> None:

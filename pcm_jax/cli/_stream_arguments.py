@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from pcm_jax.cli._values import at_least_one, minimum_inliers
+
 
 def add_stream_options(stream: argparse.ArgumentParser) -> None:
     """Adds the order of closures, when and how answers are told, and the rule they follow."""
@@ -24,7 +26,7 @@ def add_stream_options(stream: argparse.ArgumentParser) -> None:
     )
     stream.add_argument(
         "--every",
-        type=_at_least_one,
+        type=at_least_one,
         metavar="N",
         default=1,
         help="ask for the answer after every N closures, and at the end (default: %(default)s)",
@@ -49,7 +51,7 @@ def add_stream_options(stream: argparse.ArgumentParser) -> None:
     )
     stream.add_argument(
         "--minimum-inliers",
-        type=_rule,
+        type=minimum_inliers,
         metavar="chance|N",
         default="chance",
         help="when a pair of robots is believed, as in merge (default: %(default)s)",
@@ -64,16 +66,3 @@ def add_stream_options(stream: argparse.ArgumentParser) -> None:
         "--save", type=Path, metavar="FILE", help="write the state, to go on from, at the end"
     )
     stream.add_argument("--json", action="store_true", help="print a JSON object a line")
-
-
-def _at_least_one(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"{text} given, expected at least 1")
-    return number
-
-
-def _rule(text: str) -> int | str:
-    if text != "chance" and not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r}, expected chance or a number of closures")
-    return text if text == "chance" else int(text)

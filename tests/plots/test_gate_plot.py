@@ -3,7 +3,7 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib import pyplot
+from drawn import legend_of, line
 from scipy.stats import chi2
 
 from pcm_jax import plots, select
@@ -14,21 +14,6 @@ from pcm_jax.simulation import simulate_city
 
 mpl.use("Agg")
 GATE = 11.345  # 99 %, three degrees of freedom
-
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    pyplot.close("all")
-
-
-def legend_of(ax):
-    return [text.get_text() for text in ax.get_legend().get_texts()]
-
-
-def line(ax, label):
-    (found,) = [x for x in ax.get_lines() if str(x.get_label()).startswith(label)]
-    return found
 
 
 def clutter(generator, count, dof=3):

@@ -3,6 +3,7 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
+from drawn import legend_of, line
 from matplotlib import pyplot
 
 from pcm_jax import plots
@@ -17,21 +18,6 @@ ROWS = {
     "dcs": {"tpr": 0, "fpr": 0, "mse": 183_078.4, "solver": "stopped"},
     "pcm": {"tpr": 0.9996, "fpr": 0.00004, "mse": np.nan},
 }
-
-
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    pyplot.close("all")
-
-
-def legend_of(ax):
-    return [text.get_text() for text in ax.get_legend().get_texts()]
-
-
-def line(ax, label):
-    (found,) = [x for x in ax.get_lines() if str(x.get_label()).startswith(label)]
-    return found
 
 
 def test_methods_differ_in_more_than_colour():

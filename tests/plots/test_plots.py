@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import matplotlib as mpl
 import numpy as np
 import pytest
+from drawn import legend_of, line
 from matplotlib import pyplot
 from matplotlib.colors import to_hex
 
@@ -19,12 +20,6 @@ from pcm_jax.simulation import simulate_city, simulate_sessions
 mpl.use("Agg")
 
 
-@pytest.fixture(autouse=True)
-def close_figures():
-    yield
-    pyplot.close("all")
-
-
 @pytest.fixture(scope="module")
 def city():
     return simulate_city(seed=0, poses=300, inliers=6, aliased_size=3, random=11)
@@ -33,16 +28,6 @@ def city():
 @pytest.fixture(scope="module")
 def sessions():
     return simulate_sessions(seed=0, poses=200, inliers=5, random=5)
-
-
-def legend_of(owner):
-    legend = owner.get_legend() if hasattr(owner, "get_legend") else owner.legends[0]
-    return [text.get_text() for text in legend.get_texts()]
-
-
-def line(ax, label):
-    (found,) = [x for x in ax.get_lines() if str(x.get_label()).startswith(label)]
-    return found
 
 
 def segments(found):
