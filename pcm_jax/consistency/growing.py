@@ -30,10 +30,10 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
-from pcm_jax.compiling import Thrift
+from pcm_jax.compiling import is_worth_compiling
 from pcm_jax.consistency._closed_form import squared_one_way
 from pcm_jax.consistency.limit import carried, comparable
-from pcm_jax.consistency.mahalanobis import SECONDS_A_PAIR, SECONDS_TO_COMPILE
+from pcm_jax.consistency.mahalanobis import SECONDS_A_PAIR
 from pcm_jax.graph import LoopClosures
 from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.lie import unrolled
@@ -47,7 +47,6 @@ ROUNDING = 1e-6
 """By which rounding may move a bound, relative to the gate: far more than it does."""
 WORTH = 1000
 """Pairs that take NumPy as long as all of its calls for a row take by themselves."""
-_thrift = Thrift(SECONDS_TO_COMPILE)
 
 
 class GrowingPair:
@@ -213,8 +212,8 @@ class GrowingPair:
         if of_old[4].any() or of_new[4].any():
             return self._limits(of_old[0], of_new[0], fixed, side_b, of_old[4], of_new[4])
         count = old.shape[1]
-        work = 2 * max(count, WORTH) * SECONDS_A_PAIR[self._dim]
-        if not _thrift.compiles(self._dim, work):
+        so_far = 2 * count * max(count, WORTH) * SECONDS_A_PAIR[self._dim]
+        if not is_worth_compiling(so_far):
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
                 return np.stack(_both_ways(self._module, of_old[0], of_new[0], fixed, side_b))
         compiled = _compiled(self._module)

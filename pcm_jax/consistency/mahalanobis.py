@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, device_array, on_host
-from pcm_jax.compiling import Thrift
+from pcm_jax.compiling import is_worth_compiling
 from pcm_jax.consistency._closed_form import (
     closed_form_kernel,
     closed_form_new,
@@ -33,8 +33,6 @@ from pcm_jax.errors import InputError, check_class
 Problem = ConsistencyProblem | WithinProblem
 SECONDS_A_PAIR = {3: 1e-6, 6: 4e-6}
 """About what an ordered pair takes in NumPy, by tangent dimensions."""
-SECONDS_TO_COMPILE = 3.0
-_thrift = Thrift(SECONDS_TO_COMPILE)
 
 
 def _masked(kernel: Callable[[Any], Any]) -> Callable[[Problem], Any]:
@@ -248,7 +246,7 @@ def _cut(table: Any, valid: Any) -> Any:
 
 @on_host
 def weighed_on_host(problem: ConsistencyProblem) -> Limit:
-    """Computes `squared_mahalanobis` and `freedom_of` for the host: in NumPy while that is cheaper.
+    """Computes `squared_mahalanobis` and `freedom_of` for the host: in NumPy where that is cheap.
 
     Args:
         problem: of closures between two robots, float64, not traced.
@@ -257,31 +255,10 @@ def weighed_on_host(problem: ConsistencyProblem) -> Limit:
         NumPy; None for degrees that are all d.
     """
     d, padded = problem.measurement_covariance.shape[-1], problem.valid.shape[0]
-    if _says_all(problem) and not _is_worth_compiling(problem, padded**2 * SECONDS_A_PAIR[d]):
+    if _says_all(problem) and not is_worth_compiling(padded**2 * SECONDS_A_PAIR[d]):
         return _in_numpy(problem)
     squared, freedom = limits_of(problem)
     return Limit(np.asarray(squared), None if freedom is None else np.asarray(freedom))
-
-
-@on_host
-def weighed_if_compiled(problem: ConsistencyProblem, pairs: int) -> Float[np.ndarray, "m m"] | None:
-    """Computes `squared_mahalanobis` where some pairs alone would cost more in NumPy.
-
-    Args:
-        problem: as for `weighed_on_host`, of closures that leave nothing unsaid.
-        pairs: how many ordered ones NumPy would have to weigh instead.
-
-    Returns:
-        NumPy; None where the program is not compiled and as yet not worth it.
-    """
-    seconds = pairs * SECONDS_A_PAIR[problem.measurement_covariance.shape[-1]]
-    return np.asarray(limits_of(problem).squared) if _is_worth_compiling(problem, seconds) else None
-
-
-def _is_worth_compiling(problem: ConsistencyProblem, seconds: float) -> bool:
-    d, padded = problem.measurement_covariance.shape[-1], problem.valid.shape[0]
-    shapes = problem.relative_covariance_a.shape, problem.relative_covariance_b.shape
-    return _thrift.compiles((d, padded, shapes), seconds)
 
 
 def squared_rows(

@@ -27,10 +27,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
+from pcm_jax.arrays import host_scope
+from pcm_jax.compiling import is_worth_compiling
 from pcm_jax.consistency._closed_form import squared_one_way
 from pcm_jax.consistency.graph import consistency_graph
 from pcm_jax.consistency.limit import columns_of, comparable
-from pcm_jax.consistency.mahalanobis import weighed_if_compiled
+from pcm_jax.consistency.mahalanobis import SECONDS_A_PAIR, limits_of
 from pcm_jax.consistency.problem import ConsistencyProblem
 from pcm_jax.lie import unrolled
 
@@ -114,6 +116,7 @@ class ShuffledClosures:
             np.asarray(problem.relative_covariance_b),
         )
         self._floor = self._least_cosines(joined)
+        self._seconds = 0.0  # that weighing dense shuffles has taken in NumPy, about
 
     @property
     def together(self) -> int:
@@ -148,7 +151,13 @@ class ShuffledClosures:
         return ConsistentPairs(shuffle, u, v, larger).take(larger <= self.gate)
 
     def _all_pairs(self, order: Int[np.ndarray, "b k"], near: int) -> ConsistentPairs | None:
-        """As `weigh`, of all pairs at once; None where a compiled program is not worth it."""
+        """As `weigh`, of all pairs at once; None where a compiled program is not worth it yet.
+
+        It is once these shuffles, of which nobody knows how many follow, have cost as much.
+        """
+        self._seconds += 2 * near * SECONDS_A_PAIR[self._covariance.shape[-1]]
+        if not is_worth_compiling(self._seconds):
+            return None
         found, of = [], np.arange(len(np.asarray(self._problem.valid)))
         for shuffle, each in enumerate(order):
             of[: self.count] = each
@@ -157,9 +166,8 @@ class ShuffledClosures:
                 measurement=lie.take(lie.as_numpy(self._problem.measurement), of),
                 measurement_covariance=np.asarray(self._problem.measurement_covariance)[of],
             )
-            squared = weighed_if_compiled(shuffled, 2 * near // len(order))
-            if squared is None:
-                return None
+            with host_scope():
+                squared = np.asarray(limits_of(shuffled).squared)
             larger = np.fmax(squared, squared.T)
             u, v = np.nonzero((larger <= self.gate) & (self._floor < np.inf))
             found.append(ConsistentPairs(np.full(len(u), shuffle), u, v, larger[u, v]))

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import bucket, on_host
-from pcm_jax.compiling import Thrift
+from pcm_jax.compiling import is_worth_compiling
 from pcm_jax.errors import InputError, check_choice
 from pcm_jax.graph.priors import Priors
 from pcm_jax.mapping._linearization import Edges, whitening_of
@@ -31,8 +31,6 @@ MAX_STEPS = 100
 
 SECONDS_AN_EDGE = {3: 3e-5, 6: 6e-5}
 """About what a solve takes in NumPy, by tangent dimensions."""
-SECONDS_TO_COMPILE = 3.0
-_thrift = Thrift(SECONDS_TO_COMPILE)
 
 SMALLEST_PADDED = 256
 FINE_ABOVE = 4096
@@ -178,7 +176,7 @@ class PoseProblem:
             InputError: an unknown name, or an engine that is not installed.
         """
         check_names(solver, engine)
-        if (solver, engine) == (SOLVERS[0], ENGINES[0]) and not self._compiles(rtol, atol):
+        if (solver, engine) == (SOLVERS[0], ENGINES[0]) and not self._is_compiled():
             limits = {"rtol": rtol, "atol": atol, "max_steps": max_steps}
             found = gauss_newton(
                 with_frame(poses, self._poses),
@@ -208,11 +206,8 @@ class PoseProblem:
             bool(converged),
         )
 
-    def _compiles(self, rtol: float, atol: float) -> bool:
-        """True where a compiled program is worth its compilation."""
-        dim = len(self._padded.whitening)
-        key = dim, len(self._padded.tail), self._size, rtol, atol
-        return _thrift.compiles(key, self._edges * SECONDS_AN_EDGE[dim])
+    def _is_compiled(self) -> bool:
+        return is_worth_compiling(self._edges * SECONDS_AN_EDGE[len(self._padded.whitening)])
 
     def _scaled(self, scale: np.ndarray | None) -> Edges:
         if scale is None:

@@ -75,6 +75,19 @@ def test_weighs_what_q_of_shuffled_closures_weighs(pair, order, share, monkeypat
     assert edges > 10  # there is something to compare
 
 
+def test_compiles_once_dense_shuffles_have_cost_as_much(pair, order, monkeypatch):
+    monkeypatch.setattr(shuffled, "DENSE", 0.0)
+    shuffles = pair.shuffles(gate_of(pair))
+    shuffles.weigh(order[:1])
+    monkeypatch.setattr("pcm_jax.compiling.SECONDS_TO_COMPILE", 2.5 * shuffles._seconds)
+    asked, kernel = [], shuffled.limits_of
+    monkeypatch.setattr(shuffled, "limits_of", lambda p: asked.append(p) or kernel(p))
+    one_by_one = [shuffles.weigh(order[:1]) for _ in range(3)]
+    assert len(asked) == 2
+    for one in one_by_one:
+        np.testing.assert_allclose(dense(one), dense(one_by_one[0]), rtol=1e-9)
+
+
 def test_the_given_order_is_the_evidence_itself(pair):
     found = dense(pair.shuffles(gate_of(pair)).weigh(np.arange(COUNT)[None]))
     np.testing.assert_array_equal(found > 0, pair.consistent(gate_of(pair)))

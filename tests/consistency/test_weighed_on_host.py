@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pcm_jax import squared_mahalanobis, weigh
-from pcm_jax.compiling import ALWAYS, Thrift
-from pcm_jax.consistency import mahalanobis, weighed_on_host
+from pcm_jax.compiling import ALWAYS
+from pcm_jax.consistency import weighed_on_host
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 
@@ -13,7 +13,6 @@ from pcm_jax.simulation import simulate_city, simulate_sessions
 def test_equals_the_compiled_kernel(simulate, monkeypatch):
     world = simulate(seed=3, poses=40, inliers=6, aliased_groups=0, random=90)
     problem = weigh(world.graph).pairs[0].problem()
-    monkeypatch.setattr(mahalanobis, "_thrift", Thrift(1e9))
     ours = weighed_on_host(problem).squared
     assert type(ours) is np.ndarray and ours.shape == (96, 96)
     expected = np.asarray(squared_mahalanobis(problem))
