@@ -7,8 +7,11 @@ _state         all of it together, changed as a whole or not at all
 _answer        the last step of `select`, with what is known from before
 _saved         the whole state in one file, and back
 incremental    `IncrementalPcm`, which walks through them
+_held_within   what is held of the closures inside one map
+within         `IncrementalWithin`: the same for one robot
 """
 
 from pcm_jax.online.incremental import IncrementalPcm
+from pcm_jax.online.within import IncrementalWithin
 
-__all__ = ["IncrementalPcm"]
+__all__ = ["IncrementalPcm", "IncrementalWithin"]

@@ -32,12 +32,12 @@ from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging import MergeResult
 from pcm_jax.online._answer import EXACT, answer
 from pcm_jax.online._arrivals import (
-    NEW,
     WAITS,
     Identities,
     as_rows,
     check_arrivals,
     check_queue,
+    named,
 )
 from pcm_jax.online._maps import checked_part, joined, robot_index, with_new
 from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
@@ -49,6 +49,7 @@ from pcm_jax.selection.choose import needs_distances
 
 MOST_WAITING = 10_000
 """Closures that may wait for poses."""
+FORM = "IncrementalPcm"
 OF_MERGING = ("solver", "engine", "refine", "progress")
 
 
@@ -147,20 +148,14 @@ class IncrementalPcm:
         state = self._state
         there = check_arrivals(state.maps.maps, closures)
         as_weights(closures.weight, len(closures))
-        known, self._identities = self._identities or self._met(), None
-        future = np.where(there, len(self) + np.cumsum(there) - 1, WAITS)
-        again = known.meet(closures, lambda row: int(future[row]))
-        new = again == NEW
-        if not new.all():  # those behind a repeated one get other names
-            known = self._met()
-            future[new & there] = len(self) + np.arange(int((new & there).sum()))
-            again = known.meet(closures, lambda row: int(future[row]))
+        known, self._identities = self._identities, None
+        names, new, known = named(closures, there, len(self), known, self._met)
         waits = closures[new & ~there]
         check_queue(len(state.waiting) + len(waits), self._most_waiting)
         state = state.with_closures(closures[new & there], waits, int((~new).sum()))
         self._take(state)
         self._identities = known
-        return np.where(new, future, again)
+        return names
 
     @on_host
     def remove(self, indices: Any) -> None:
@@ -321,6 +316,7 @@ class IncrementalPcm:
         options = options_to_save(self._options)
         self._state = self._state.current()
         meta = {
+            "form": FORM,
             "options": options,
             "most_waiting": self._most_waiting,
             "names": self._names,
@@ -343,7 +339,7 @@ class IncrementalPcm:
             FileFormatError: for a file of another kind or version, one cut short or changed.
             OSError: where it cannot be opened.
         """
-        meta, arrays = read(Path(path))
+        meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
         online._options, online._most_waiting = meta["options"], meta["most_waiting"]
         method, confidence, gate = meta["names"]

@@ -93,3 +93,25 @@ def test_a_step_costs_a_bounded_search():
     for count in range(150):
         found.add(generator.random(count) < 0.9)
     assert " to " in repr(found)
+
+
+def test_the_largest_with_its_certificate():
+    for seed in range(10):
+        for found, graph in random_steps(seed, 0.7, 0.2, 30):
+            if len(graph) % 3 == 0:
+                batch, largest = maximum_clique(graph), found.largest(60.0)
+                np.testing.assert_array_equal(largest.members, batch.members)
+                certificate = largest.size, largest.optimal, largest.upper_bound
+                assert certificate == (batch.size, True, batch.size)
+
+
+def test_a_time_limit_gives_the_best_known_and_a_bound(monkeypatch):
+    monkeypatch.setattr(growing, "STEPS", 0)
+    *_, (found, graph) = random_steps(2, 0.8, 0.0, 60)
+    early = found.largest(0.0)
+    members = np.flatnonzero(early.members)
+    assert graph[np.ix_(members, members)].sum() == len(members) * (len(members) - 1)
+    batch = maximum_clique(graph)
+    assert not early.optimal and early.size <= batch.size <= early.upper_bound
+    np.testing.assert_array_equal(found.largest(60.0).members, batch.members)
+    np.testing.assert_array_equal(found.first(), batch.members)
