@@ -39,7 +39,7 @@ from pcm_jax.store import Store, digest, write_json
 
 RULES: dict[str, dict[str, Any]] = {
     "2": {"minimum_inliers": 2},
-    "chance": {"on_ambiguous": "largest"},
+    "chance": {"on_ambiguous": "largest", "prefer": "closures"},
     "default": {},
     "20 m": {"separation": 20.0},
 }

@@ -151,7 +151,7 @@ def decisions(graph: MultiRobotGraph) -> dict[str, tuple[np.ndarray, float]]:
     most = by_number.pairs[0].found
     found = {str(k): (by_number.accepted if most >= k else nothing, 0.0) for k in FIXED}
     start = time.perf_counter()
-    judged = select(evidence, on_ambiguous="largest")
+    judged = select(evidence, on_ambiguous="largest", prefer="closures")
     seconds = time.perf_counter() - start
     verdict: Verdict = judged.pairs[0].verdict
     found["chance"] = judged.accepted, seconds

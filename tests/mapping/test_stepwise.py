@@ -55,7 +55,9 @@ def test_a_start_without_a_cost_is_no_optimum(pose_graph, monkeypatch):
 
 
 def test_equal_solves_give_equal_bits(pose_graph):
-    first, *others = (lie.parameters(lie.as_numpy(optimize(pose_graph).graph.poses)) for _ in range(200))
+    first, *others = (
+        lie.parameters(lie.as_numpy(optimize(pose_graph).graph.poses)) for _ in range(200)
+    )
     assert all(np.array_equal(first, other) for other in others)
 
 
