@@ -93,7 +93,7 @@ def minimize(
         if not np.isfinite(best.cost):
             break
         damping = FIRST_DAMPING / step_size if damped else 0.0
-        delta = -_step(edges, free, best.linear, damping)
+        delta: Any = -_step(edges, free, best.linear, damping)
         found, before = _Judged.at(retract(best.poses, delta), edges), best
         accept, growth = True, 1.0
         if damped:
