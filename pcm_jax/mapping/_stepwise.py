@@ -59,7 +59,7 @@ class _Judged(NamedTuple):
         linear: Any = linearize(poses, edges)
         return cls(poses, linear, 0.5 * float(np.sum(linear[0] * linear[0])))
 
-    def predicted(self, edges: Edges, delta: Float[np.ndarray, "n d"]) -> float:
+    def predicted(self, edges: Edges, delta: Any) -> float:
         """The change of the cost by a step, if the residuals were linear."""
         residual, by_tail, by_head = self.linear
         after = residual + differential(by_tail, by_head, edges.tail, edges.head, delta.T)
