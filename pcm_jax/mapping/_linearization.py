@@ -110,6 +110,19 @@ def multiply(a: Float[Array, "i j e"], b: Float[Array, "j k e"]) -> Float[Array,
     return sum(a[:, j, None] * b[None, j] for j in range(len(b)))  # type: ignore[return-value]
 
 
+def differential(
+    by_tail: Float[Array, "d d e"],
+    by_head: Float[Array, "d d e"],
+    tail: Int[Array, " e"],
+    head: Int[Array, " e"],
+    step: Float[Array, "d n"],
+) -> Float[Array, "d e"]:
+    """J δ, from the blocks of J and right perturbations of the poses."""
+    einsum = namespace(by_tail).einsum
+    along = einsum("ijk,jk->ik", by_tail, step[:, tail])
+    return along + einsum("ijk,jk->ik", by_head, step[:, head])
+
+
 def whitened_residual(poses: Any, edges: Edges) -> Float[Array, "d e"]:
     """Lᵀ Log(z⁻¹ X_i⁻¹ X_j) of every edge; half the sum of its squares is the cost."""
     _, residual = apart(edges.tail[0] >= 0, _relative, poses, edges)
