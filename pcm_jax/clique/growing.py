@@ -31,6 +31,8 @@ from pcm_jax.clique.result import Clique
 STEPS = 256
 """Branches of the search at a vertex that comes: some milliseconds. What they do not decide waits
 until it is asked for, and is then decided for all vertices that came by one search."""
+SEARCHED = 400
+"""Vertices left, up to which that search is made at all: of more it hardly ever decides."""
 FEW = 8
 """Vertices that came, up to which the first clique is looked for among the neighbours of each."""
 UNDECIDED = -1
@@ -113,6 +115,9 @@ class GrowingClique:
             self._near[other] |= own
         found = self._members if self._members & ~near == 0 else self._clique(near, known, STEPS)
         self._most += found is not None
+        if found == UNDECIDED:
+            found = self._exchanged(near, own)
+            settled = False
         if found is None or found == UNDECIDED:
             self._since.append(vertex)
         else:
@@ -177,6 +182,16 @@ class GrowingClique:
         spent = perf_counter() - start
         return Clique(members, size, size == most, most, spent, size, most)
 
+    def _exchanged(self, near: int, own: int) -> int:
+        """A clique of all but one of those in hand and one more, with which a new vertex agrees."""
+        stays = self._members & near
+        if stays.bit_count() != self._members.bit_count() - 1:
+            return UNDECIDED
+        common = near
+        for vertex in np.flatnonzero(_as_mask(stays, len(self))).tolist():
+            common &= self._near[vertex]
+        return stays | common & -common if common else UNDECIDED
+
     def _grow(self, own: int, near: int, found: int, settled: bool) -> None:
         self._members = found | own
         first = self._first if settled and not self._since else None
@@ -225,10 +240,12 @@ class GrowingClique:
         """
         if size == 0:
             return 0
-        vertices, table = self._inside(candidates, size - 1)
+        vertices = self._inside(candidates, size - 1)
         if len(vertices) < size:
             return None
-        graph = BitGraph(table)
+        if len(vertices) > SEARCHED and steps < math.inf:
+            return UNDECIDED
+        graph = BitGraph(self._table(vertices))
         if known is None:
             outcome = largest_clique(
                 graph, graph.everything, size - 1, ceiling=size, steps=steps, deadline=deadline
@@ -243,20 +260,18 @@ class GrowingClique:
             labels = smallest_by_index(graph, labels, deadline)
         return None if labels is None else _set_of(vertices[graph.vertices_of(labels)])
 
-    def _inside(
-        self, candidates: int, degree: int
-    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, "n n"]]:
-        """Candidates with so many neighbours among them, ascending, and the graph of them."""
+    def _inside(self, candidates: int, degree: int) -> Int[np.ndarray, " n"]:
+        """Candidates with so many neighbours among them, ascending."""
         vertices = np.flatnonzero(_as_mask(candidates, len(self)))
         while len(vertices) > degree:
             few = [
                 v for v in vertices.tolist() if (self._near[v] & candidates).bit_count() < degree
             ]
             if not few:
-                return vertices, self._table(vertices)
+                return vertices
             candidates &= ~_set_of(np.array(few))
             vertices = np.setdiff1d(vertices, few, assume_unique=True)
-        return vertices[:0], np.zeros((0, 0), bool)
+        return vertices[:0]
 
     def _table(self, vertices: Int[np.ndarray, " n"]) -> Bool[np.ndarray, "n n"]:
         size = -(-len(self) // 8)
