@@ -20,6 +20,7 @@ from pcm_jax.graph import LoopClosures, PoseGraph
 from pcm_jax.online._arrivals import ends_of
 from pcm_jax.online._maps import NewPart
 from pcm_jax.online._pair import MANY
+from pcm_jax.online._steady import steadied
 from pcm_jax.pipeline.within_trials import Asked, Trials
 from pcm_jax.selection import Choice
 from pcm_jax.selection.choose import needs_distances
@@ -43,9 +44,8 @@ class HeldScale:
         self._among = np.flatnonzero(self._agree(self._own))
         self._clique: GrowingClique | None = None
         if _is_searched(asked):
-            passes = self._squared[np.ix_(self._among, self._among)] <= asked.gate
-            np.fill_diagonal(passes, False)
-            self._clique = GrowingClique.of_graph(passes & passes.T)
+            squared = self._squared[np.ix_(self._among, self._among)]
+            self._clique = GrowingClique.of_graph(agreeing(squared, asked.gate))
 
     def copy(self) -> HeldScale:
         """Copies the state; tables are shared as by `GrowingWithin.copy`."""
@@ -180,13 +180,21 @@ class HeldTrials(Trials):
         closures: edges that are closures.
         asked: the question.
         held: of these closures, in their order.
+        members: marks those of the set believed before.
+        hysteresis: see `_steady`.
     """
 
     def __init__(
-        self, graph: PoseGraph, closures: Int[np.ndarray, " m"], asked: Asked, held: HeldWithin
+        self,
+        graph: PoseGraph,
+        closures: Int[np.ndarray, " m"],
+        asked: Asked,
+        held: HeldWithin,
+        members: Bool[np.ndarray, " m"],
+        hysteresis: float,
     ) -> None:
         super().__init__(graph, closures, asked)
-        self._held = held
+        self._held, self._members, self._hysteresis = held, members, hysteresis
 
     def distances(self, factor: float) -> Distances:
         """q² of pairs, and of each with odometry alone, its errors multiplied."""
@@ -196,11 +204,23 @@ class HeldTrials(Trials):
         self, factor: float, squared: Float[np.ndarray, "m m"], among: Int[np.ndarray, " n"]
     ) -> Choice:
         """The set that the method finds among the closures that agree with odometry."""
-        return self._scale(factor).largest() or super().largest(factor, squared, among)
+        choice = self._scale(factor).largest() or super().largest(factor, squared, among)
+        if not self._hysteresis:
+            return choice
+        agree = agreeing(squared[np.ix_(among, among)], self.asked.gate)
+        before, plain = self._members[among], np.ones(len(among))
+        return steadied(choice, agree, before, self._hysteresis, plain)
 
     def _scale(self, factor: float) -> HeldScale:
         anew = super().distances
         return self._held.at(factor, lambda: anew(factor))
+
+
+def agreeing(squared: Float[np.ndarray, "m m"], gate: float) -> Bool[np.ndarray, "m m"]:
+    """The graph of those that agree both ways, the diagonal false."""
+    passes = squared <= gate
+    np.fill_diagonal(passes, False)
+    return passes & passes.T
 
 
 def _is_searched(asked: Asked) -> bool:

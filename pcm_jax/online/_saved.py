@@ -26,7 +26,7 @@ from pcm_jax.online._pair import HeldPair
 from pcm_jax.online._state import State
 from pcm_jax.store import digest, written_whole
 
-VERSION = 1
+VERSION = 2
 Arrays = dict[str, np.ndarray]
 MEASURED = ("robot_a", "pose_a", "robot_b", "pose_b", "information", "weight")
 
@@ -101,6 +101,7 @@ def arrays_of(state: State) -> Arrays:
     found |= prefixed("held", closure_arrays(state.arrived.closures))
     found |= prefixed("waiting", closure_arrays(state.waiting))
     for (a, b), pair in state.pairs.items():
+        found[f"believed{a}-{b}"] = pair.believed
         if pair.clique is not None:
             found[f"pair{a}-{b}"] = np.packbits(pair.clique.dense(), axis=1)
     return found
@@ -136,6 +137,7 @@ def _pairs(
         dense = np.unpackbits(packed, axis=1, count=len(packed)).view(np.bool_)
         pair = HeldPair((a, b), both, *state.weighing)
         pair.add(measured, indices, GrowingClique.of_graph(dense))
+        pair.believed = arrays[f"believed{a}-{b}"]
         yield (a, b), pair
 
 

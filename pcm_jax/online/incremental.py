@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import deque
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -30,7 +31,7 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.graph.checked import as_weights
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging import MergeResult
-from pcm_jax.online._answer import EXACT, answer
+from pcm_jax.online._answer import EXACT, answer, remember
 from pcm_jax.online._arrivals import (
     WAITS,
     Identities,
@@ -40,8 +41,10 @@ from pcm_jax.online._arrivals import (
     named,
 )
 from pcm_jax.online._maps import checked_part, joined, robot_index, with_new
+from pcm_jax.online._merged import merged_by
 from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
 from pcm_jax.online._state import State
+from pcm_jax.online._steady import MOST_LOGGED, Change
 from pcm_jax.pipeline.select import select
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, optimized_maps
 from pcm_jax.selection import Selection
@@ -50,7 +53,6 @@ from pcm_jax.selection.choose import needs_distances
 MOST_WAITING = 10_000
 """Closures that may wait for poses."""
 FORM = "IncrementalPcm"
-OF_MERGING = ("solver", "engine", "refine", "progress")
 
 
 class IncrementalPcm:
@@ -73,6 +75,9 @@ class IncrementalPcm:
     Args:
         graph: the robots' maps, and the closures that are known already.
         most_waiting: closures that may wait for poses.
+        hysteresis: the set believed so far, with what has come and agrees with all of it, stays
+            while it is one and the method's choice has at most so many closures more (where weights
+            decide: weighs at most so much more). 0: the answer is that of `select`.
         **options: as for `select`.
 
     Raises:
@@ -81,11 +86,19 @@ class IncrementalPcm:
 
     @on_host
     def __init__(
-        self, graph: MultiRobotGraph, *, most_waiting: int = MOST_WAITING, **options: Any
+        self,
+        graph: MultiRobotGraph,
+        *,
+        most_waiting: int = MOST_WAITING,
+        hysteresis: float = 0.0,
+        **options: Any,
     ) -> None:
         check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
         check_number("most_waiting", most_waiting, least=0, integer=True)
+        check_number("hysteresis", hysteresis, least=0)
         self._options, self._most_waiting = options, most_waiting
+        self._hysteresis, self._step = float(hysteresis), 0
+        self._log: deque[Change] = deque(maxlen=MOST_LOGGED)
         maps = dataclasses.replace(graph, closures=LoopClosures.empty(graph.group))
         started = select(maps, **options)
         self._names = started.method, started.confidence, started.gate
@@ -127,6 +140,17 @@ class IncrementalPcm:
     def repeated(self) -> int:
         """The number of closures that came and stated an earlier one again."""
         return self._state.repeated
+
+    @property
+    def log(self) -> tuple[Change, ...]:
+        """The closures that entered answers and left them, from one `result()` to the next.
+
+            for change in online.log: print(change)
+            step 41: a12 – b7 left: disagrees with 7 of the 12 believed now
+
+        The last 10,000 of them. One that was removed did not leave by itself, and is not told of.
+        """
+        return tuple(self._log)
 
     @on_host
     def add(self, closures: LoopClosures) -> Int[np.ndarray, " n"]:
@@ -260,7 +284,7 @@ class IncrementalPcm:
         """The closures to believe: what `select` answers for `graph`.
 
         Kept until something changes; of the pairs of robots only those that changed are judged
-        anew.
+        anew. What was accepted is tested again each time, and may leave: see `log`.
 
         Warns:
             InputWarning: as `select`.
@@ -268,7 +292,9 @@ class IncrementalPcm:
         if self._selection is None:
             self._state = self._state.current()
             told = self._metric, self._seconds
-            self._selection = answer(self._state, self.graph, self._options, self._names, *told)
+            of = self._state, self.graph, self._options, self._names, *told
+            self._selection = answer(*of, self._hysteresis)
+            self._log.extend(remember(self._state, self._selection, self._step))
         return self._selection
 
     def merge(self, **options: Any) -> MergeResult:
@@ -280,24 +306,7 @@ class IncrementalPcm:
         Raises:
             InputError: as `merge`.
         """
-        from pcm_jax.pipeline import merge
-
-        selection = self.result()
-        for name in options:
-            if name not in OF_MERGING:
-                expected = ", ".join(OF_MERGING)
-                raise InputError(f"{name}: not an option of merge here, expected one of {expected}")
-        if options.get("refine") is not None:
-            options["confidence"] = selection.confidence
-        merged = merge(selection.evidence, accepted=selection.accepted, **options)
-        return dataclasses.replace(
-            merged,
-            selection=selection,
-            method=selection.method,
-            confidence=selection.confidence,
-            gate=selection.gate,
-            seconds=merged.seconds | selection.seconds,
-        )
+        return merged_by(self.result(), options)
 
     @on_host
     def save(self, path: str | PathLike[str]) -> None:
@@ -319,6 +328,9 @@ class IncrementalPcm:
             "form": FORM,
             "options": options,
             "most_waiting": self._most_waiting,
+            "hysteresis": self._hysteresis,
+            "step": self._step,
+            "log": [dataclasses.astuple(change) for change in self._log],
             "names": self._names,
             "metric": self._metric,
             "seconds": self._seconds,
@@ -342,6 +354,8 @@ class IncrementalPcm:
         meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
         online._options, online._most_waiting = meta["options"], meta["most_waiting"]
+        online._hysteresis, online._step = meta["hysteresis"], meta["step"]
+        online._log = deque((Change(*each) for each in meta["log"]), maxlen=MOST_LOGGED)
         method, confidence, gate = meta["names"]
         online._names, online._metric = (method, confidence, gate), meta["metric"]
         online._seconds = meta["seconds"]
@@ -375,3 +389,4 @@ class IncrementalPcm:
         if len(state.arrived) != len(self) or len(state.waiting) != len(self.waiting):
             self._identities = None
         self._state, self._graph, self._selection = state, None, None
+        self._step += 1

@@ -16,6 +16,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections import deque
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -38,7 +40,7 @@ from pcm_jax.online._arrivals import (
     ends_of,
     named,
 )
-from pcm_jax.online._held_within import HeldTrials, HeldWithin
+from pcm_jax.online._held_within import HeldTrials, HeldWithin, agreeing
 from pcm_jax.online._maps import checked_part, joined
 from pcm_jax.online._saved import (
     closure_arrays,
@@ -51,6 +53,7 @@ from pcm_jax.online._saved import (
     those_of,
     write,
 )
+from pcm_jax.online._steady import MOST_LOGGED, Change, changes
 from pcm_jax.online.incremental import MOST_WAITING
 from pcm_jax.pipeline.within_decision import Question, decided
 from pcm_jax.selection import WithinSelection
@@ -78,6 +81,8 @@ class IncrementalWithin:
         pose_graph: as for `select_within`: a chain of odometry, and the closures that are known
             already. One pose is enough.
         most_waiting: closures that may wait for poses.
+        hysteresis: the set believed so far stays, as for `IncrementalPcm`. 0: the answer is that of
+            `select_within`.
         **options: as for `select_within`.
 
     Raises:
@@ -86,11 +91,20 @@ class IncrementalWithin:
 
     @on_host
     def __init__(
-        self, pose_graph: PoseGraph, *, most_waiting: int = MOST_WAITING, **options: Any
+        self,
+        pose_graph: PoseGraph,
+        *,
+        most_waiting: int = MOST_WAITING,
+        hysteresis: float = 0.0,
+        **options: Any,
     ) -> None:
         check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
         check_number("most_waiting", most_waiting, least=0, integer=True)
+        check_number("hysteresis", hysteresis, least=0)
         self._options, self._most_waiting = options, most_waiting
+        self._hysteresis, self._step = float(hysteresis), 0
+        self._log: deque[Change] = deque(maxlen=MOST_LOGGED)
+        self._members = self._believed = np.zeros(0, bool)
         self._question = Question.from_options(options)
         is_step = np.zeros(pose_graph.num_edges, bool)
         is_step[odometry_edges(pose_graph)] = True
@@ -129,6 +143,11 @@ class IncrementalWithin:
     def repeated(self) -> int:
         """The number of closures that came and stated an earlier one again."""
         return self._repeated
+
+    @property
+    def log(self) -> tuple[Change, ...]:
+        """The closures that entered answers and left them, as `IncrementalPcm.log`."""
+        return tuple(self._log)
 
     @on_host
     def add(
@@ -194,7 +213,8 @@ class IncrementalWithin:
         if not gone.any():
             return
         held, left = self._held.without(gone), Arrived(self._arrived.closures[~gone])
-        self._forget()
+        self._go_on()
+        self._members, self._believed = self._members[~gone], self._believed[~gone]
         self._held, self._arrived, self._identities = held, left, None
 
     @on_host
@@ -223,7 +243,7 @@ class IncrementalWithin:
         enters, before = self._waiting[there], len(self)
         held = held.with_closures(enters) if len(enters) else held
         arrived = self._arrived.with_more(enters) if len(enters) else self._arrived
-        self._forget()
+        self._go_on(len(enters))
         self._odometry, self._held, self._arrived = odometry, held, arrived
         if len(enters):
             self._waiting, self._identities = self._waiting[~there], None
@@ -233,11 +253,17 @@ class IncrementalWithin:
     def result(self) -> WithinSelection:
         """The closures to believe: what `select_within` answers for `graph`.
 
-        Kept until something changes.
+        Kept until something changes. What was accepted is tested again each time, and may leave:
+        see `log`.
         """
         if self._selection is None:
-            held = functools.partial(HeldTrials, held=self._held)
-            self._selection = decided(self.graph, self._question, held)
+            held = functools.partial(
+                HeldTrials, held=self._held, members=self._members, hysteresis=self._hysteresis
+            )
+            found = self._selection = decided(self.graph, self._question, held)
+            self._log.extend(self._changes(found))
+            self._members = found.accepted & ~found.recalled
+            self._believed = found.accepted
         return self._selection
 
     @on_host
@@ -252,12 +278,16 @@ class IncrementalWithin:
             "form": FORM,
             "options": options_to_save(self._options),
             "most_waiting": self._most_waiting,
+            "hysteresis": self._hysteresis,
+            "step": self._step,
+            "log": [dataclasses.astuple(change) for change in self._log],
             "name": self._odometry.name,
             "repeated": self._repeated,
         }
         arrays = prefixed("odometry", map_arrays(self._odometry))
         arrays |= prefixed("held", closure_arrays(self._arrived.closures))
         arrays |= prefixed("waiting", closure_arrays(self._waiting))
+        arrays |= {"members": self._members, "believed": self._believed}
         write(Path(path), json.loads(json.dumps(meta)), arrays)
 
     @classmethod
@@ -271,13 +301,17 @@ class IncrementalWithin:
         """
         meta, arrays = read(Path(path), FORM)
         odometry = map_of(those_of("odometry", arrays), meta["name"])
-        online = cls(odometry, most_waiting=meta["most_waiting"], **meta["options"])
+        rule = {name: meta[name] for name in ("most_waiting", "hysteresis")}
+        online = cls(odometry, **rule, **meta["options"])
         held, waiting = (
             closures_of(those_of(name, arrays), odometry.group) for name in ("held", "waiting")
         )
         online._held = online._held.with_closures(held)
         online._arrived, online._waiting = Arrived(held), waiting
         online._repeated, online._graph = meta["repeated"], None
+        online._step = meta["step"]
+        online._members, online._believed = arrays["members"], arrays["believed"]
+        online._log.extend(Change(*each) for each in meta["log"])
         return online
 
     def _add(self, closures: LoopClosures) -> Int[np.ndarray, " n"]:
@@ -289,11 +323,22 @@ class IncrementalWithin:
         held = self._held.with_closures(enters) if len(enters) else self._held
         arrived = self._arrived.with_more(enters) if len(enters) else self._arrived
         waiting = LoopClosures.concatenate([self._waiting, waits]) if len(waits) else self._waiting
-        self._forget()
+        self._go_on(len(enters))
         self._held, self._arrived, self._waiting = held, arrived, waiting
         self._repeated += int((~new).sum())
         self._identities = known
         return names
+
+    def _changes(self, found: WithinSelection) -> Iterator[Change]:
+        """The entries of the log that an answer makes."""
+        if np.array_equal(self._believed, found.accepted):
+            return
+        graph, agree = self.graph, agreeing(found.squared, found.gate)
+        why = found.verdict.why
+        for row, event, reason in changes(self._believed, found.accepted, agree, why):
+            edge = found.closures[row]
+            a, b = (graph.pose_name(int(at[edge])) for at in (graph.tail, graph.head))
+            yield Change(self._step, row, a, b, event, reason)
 
     def _nothing_held(self) -> HeldWithin:
         asked = self._question.asked(self._odometry.tangent_dim)
@@ -306,8 +351,14 @@ class IncrementalWithin:
         met.meet(self._waiting, lambda _: WAITS)
         return met
 
-    def _forget(self) -> None:
+    def _go_on(self, came: int = 0) -> None:
+        """Goes on to the next step; closures that came are not believed yet."""
+        none = np.zeros(came, bool)
+        self._members, self._believed = (
+            np.append(each, none) for each in (self._members, self._believed)
+        )
         self._graph = self._selection = None
+        self._step += 1
 
 
 def _as_ends(given: Any, name: str, rows: int) -> Int[np.ndarray, " n"]:
