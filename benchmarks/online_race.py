@@ -18,9 +18,12 @@ for good (IPC), or look again from time to time (TACO). As IPC's published scrip
 
 Not said by what could be read, and taken as: a run is a *success* if its ATE is at most 1 % of the
 diagonal of the true map's bounding box; groups have 10 members, local ones lie 2 to 20 steps apart,
-a false closure measures the identity with 0.3 m and 0.17 rad of noise. Times: of one `add` (which
-knows the largest set, or bounds it), of the answer (chance and recall, which optimises the map).
-A search for the largest set has `--time-limit` seconds; `proven` is the share that ended in it.
+a false closure measures the identity with 0.3 m and 0.17 rad of noise.
+
+Ours is the largest set alone: two closures suffice, as for the peers, who do not ask whether chance
+does as well (which takes minutes where odometry is so uncertain that most closures agree with it),
+and no recall. Times are of one `add`, which knows the largest set or bounds it, and of the answer;
+a search for that set has `--time-limit` seconds, and `proven` is the share that ended in them.
 
 Of the peers' numbers the table has those that their abstracts state: TACO succeeds in more than
 90 % of the runs in the plane and 83 % in space at shares up to 50 %, in about 45 and 100 ms a
@@ -31,9 +34,11 @@ Writes summary.json ({graph, dimensions or law: means}), runs.csv, table.md, rat
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -52,6 +57,7 @@ from pcm_jax import (
     optimize,
     read_graph,
 )
+from pcm_jax.compiling import ALWAYS
 from pcm_jax.consistency import odometry_edges
 from pcm_jax.evaluation import ate_rmse
 from pcm_jax.simulation import LAWS, SpoiledMap, add_false_loops
@@ -123,7 +129,8 @@ def raced(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.simplefilter("ignore", InputWarning)
-        online, times = streamed(spoiled, order, time_limit)
+        with _compiling():
+            online, times = streamed(spoiled, order, time_limit)
         start = time.perf_counter()
         found = online.result()
         answer = time.perf_counter() - start
@@ -178,7 +185,8 @@ def streamed(
     measured = lie.as_numpy(graph.measurement)
     found: dict[str, list[Any]] = {}
     for some in (order[:100], order):
-        online = IncrementalWithin(graph.with_edges(odometry), time_limit=time_limit)
+        chain = graph.with_edges(odometry)
+        online = IncrementalWithin(chain, time_limit=time_limit, minimum_inliers=2, recall=False)
         found = {"index": [], "seconds": []}
         for row in some:
             edge = {
@@ -192,6 +200,17 @@ def streamed(
             found["seconds"].append(time.perf_counter() - start)
             found["index"].append(index)
     return online, {name: np.array(values) for name, values in found.items()}
+
+
+@contextlib.contextmanager
+def _compiling() -> Iterator[None]:
+    """Compiles whatever can be, so that times are those of a process that runs for long."""
+    before, os.environ[ALWAYS] = os.environ.get(ALWAYS), "always"
+    try:
+        yield
+    finally:
+        os.environ.pop(ALWAYS)
+        os.environ |= {} if before is None else {ALWAYS: before}
 
 
 def _firsts(index: np.ndarray) -> np.ndarray:
