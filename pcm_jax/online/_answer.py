@@ -15,7 +15,9 @@ from pcm_jax.online._state import State
 from pcm_jax.online._steady import Change, changes
 from pcm_jax.pipeline.select import CHANCE, OF_WEIGHING, decide
 from pcm_jax.pipeline.stages import StopWatch, silent
+from pcm_jax.pipeline.weigh import MEMORY_LIMIT
 from pcm_jax.selection import Selection
+from pcm_jax.selection.choose import needs_distances
 from pcm_jax.selection.weights import check_weights
 
 EXACT = "pcm-exact"
@@ -67,6 +69,13 @@ def answer(
     tell = options.get("progress") or silent
     selection = decide(evidence, choices, names, minimum, watch, tell, **by)
     return dataclasses.replace(selection, waiting=len(state.waiting))
+
+
+def memory_limit(options: Mapping[str, Any]) -> float:
+    """Bytes for distances: any number of them where the method needs them, as for `select`."""
+    by = {name: options[name] for name in ("tie_break",) if name in options}
+    needed = needs_distances(options.get("method", EXACT), by)
+    return np.inf if needed else options.get("memory_limit", MEMORY_LIMIT)
 
 
 def remember(state: State, selection: Selection, step: int) -> list[Change]:

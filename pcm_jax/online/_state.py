@@ -14,7 +14,7 @@ from jaxtyping import Bool
 
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
-from pcm_jax.online._arrivals import Arrived, has_poses
+from pcm_jax.online._arrivals import WAITS, Arrived, Identities, has_poses
 from pcm_jax.online._pair import HeldPair
 
 Robots = tuple[int, int]
@@ -52,6 +52,13 @@ class State:
         """Maps without a closure."""
         none = LoopClosures.empty(maps.group)
         return cls(maps, covariances, Arrived(none), none, 0, {}, weighing)
+
+    def met(self) -> Identities:
+        """All closures held and waiting, by their names."""
+        found = Identities()
+        found.meet(self.arrived.closures, int)
+        found.meet(self.waiting, lambda _: WAITS)
+        return found
 
     def with_closures(self, closures: LoopClosures, waits: LoopClosures, repeated: int) -> State:
         """The state with further closures, none of them met before.

@@ -31,24 +31,22 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.graph.checked import as_weights
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging import MergeResult
-from pcm_jax.online._answer import EXACT, answer, remember
+from pcm_jax.online._answer import answer, memory_limit, remember
 from pcm_jax.online._arrivals import (
-    WAITS,
     Identities,
     as_rows,
     check_arrivals,
     check_queue,
     named,
 )
-from pcm_jax.online._maps import checked_part, joined, robot_index, with_new
+from pcm_jax.online._maps import check_name, checked_part, grown_by, robot_index
 from pcm_jax.online._merged import merged_by
 from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
 from pcm_jax.online._state import State
 from pcm_jax.online._steady import MOST_LOGGED, Change
 from pcm_jax.pipeline.select import select
-from pcm_jax.pipeline.weigh import MEMORY_LIMIT, optimized_maps
+from pcm_jax.pipeline.weigh import optimized_maps
 from pcm_jax.selection import Selection
-from pcm_jax.selection.choose import needs_distances
 
 MOST_WAITING = 10_000
 """Closures that may wait for poses."""
@@ -75,9 +73,9 @@ class IncrementalPcm:
     Args:
         graph: the robots' maps, and the closures that are known already.
         most_waiting: closures that may wait for poses.
-        hysteresis: the set believed so far, with what has come and agrees with all of it, stays
-            while it is one and the method's choice has at most so many closures more (where weights
-            decide: weighs at most so much more). 0: the answer is that of `select`.
+        hysteresis: the set believed so far stays, with what has come and agrees with all of it,
+            unless the method's has more than so many closures (weighs so much) more, see `_steady`.
+            0: the answer is that of `select`.
         **options: as for `select`.
 
     Raises:
@@ -104,10 +102,11 @@ class IncrementalPcm:
         self._names = started.method, started.confidence, started.gate
         self._metric, self._seconds = started.evidence.metric, dict(started.evidence.seconds)
         metric = options.get("metric") if callable(options.get("metric")) else None
-        weighing = started.gate, self._memory_limit(), metric
+        weighing = started.gate, memory_limit(options), metric
         self._state = State.of_maps(maps, started.evidence.covariances, weighing)
         self._identities: Identities | None = None
         self._graph: MultiRobotGraph | None = None
+        self._merged: MergeResult | None = None
         self._selection: Selection | None = None
         self.add(graph.closures)
 
@@ -143,12 +142,9 @@ class IncrementalPcm:
 
     @property
     def log(self) -> tuple[Change, ...]:
-        """The closures that entered answers and left them, from one `result()` to the next.
+        """The closures that entered answers and left them, and why: the last 10,000 of them.
 
-            for change in online.log: print(change)
-            step 41: a12 – b7 left: disagrees with 7 of the 12 believed now
-
-        The last 10,000 of them. One that was removed did not leave by itself, and is not told of.
+        One that was removed did not leave by itself, and is not told of.
         """
         return tuple(self._log)
 
@@ -173,7 +169,7 @@ class IncrementalPcm:
         there = check_arrivals(state.maps.maps, closures)
         as_weights(closures.weight, len(closures))
         known, self._identities = self._identities, None
-        names, new, known = named(closures, there, len(self), known, self._met)
+        names, new, known = named(closures, there, len(self), known, state.met)
         waits = closures[new & ~there]
         check_queue(len(state.waiting) + len(waits), self._most_waiting)
         state = state.with_closures(closures[new & there], waits, int((~new).sum()))
@@ -229,16 +225,8 @@ class IncrementalPcm:
         index = robot_index(robot, self._state.maps.names)
         given, covariance = self._state.maps.maps[index], self._state.covariances[index]
         new = checked_part(given, poses, **part)
-        grown = joined(given, new)
-        placed = grown.with_poses(with_new(covariance.pose_graph.poses, new))
         settled = self._options.get("optimized", False)
-        odometry = new.is_odometry(given.num_poses) and not (settled and poses is not None)
-        if odometry:
-            covariance = covariance.extend(placed)
-        elif settled:
-            covariance = MapCovariance(grown)
-        else:
-            covariance = MapCovariance(optimized_maps((placed,), False, initial="given")[0])
+        grown, covariance, odometry = grown_by(given, covariance, new, settled=settled)
         maps, covariances = list(self._state.maps.maps), list(self._state.covariances)
         maps[index], covariances[index] = grown, covariance
         return self._move(tuple(maps), tuple(covariances), index if odometry else None)
@@ -270,14 +258,45 @@ class IncrementalPcm:
                 f"maps: {len(maps)} given, expected at least {len(before)}, one a robot"
             )
         given = dataclasses.replace(self.graph, maps=tuple(maps)).maps
-        covariances = list(self._state.covariances)
-        for index, one in enumerate(given):
-            same = index < len(before) and maps[index] is before[index]
-            if not same:
-                settled = self._options.get("optimized", False)
-                covariance = MapCovariance(optimized_maps((one,), settled)[0])
-                covariances[index : index + 1] = [covariance]
+        settled = self._options.get("optimized", False)
+        covariances = [
+            self._state.covariances[index]
+            if index < len(before) and maps[index] is before[index]
+            else MapCovariance(optimized_maps((one,), settled)[0])
+            for index, one in enumerate(given)
+        ]
         return self._move(given, tuple(covariances), None)
+
+    def add_robot(self, pose_graph: PoseGraph) -> int:
+        """Takes in the map of a robot that comes, behind those that are there.
+
+        Args:
+            pose_graph: its map. A name that is taken gets a number.
+
+        Returns:
+            its index.
+
+        Raises:
+            InputError: as `replace_maps`.
+        """
+        check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
+        maps = self._state.maps.maps
+        self.replace_maps([*maps, pose_graph])
+        return len(maps)
+
+    @on_host
+    def rename(self, robot: int | str, name: str) -> None:
+        """Gives a robot another name; all else stays as it is.
+
+        Raises:
+            InputError: for a robot that does not exist, a name that is empty or taken.
+        """
+        index = robot_index(robot, self._state.maps.names)
+        check_name(index, name, self._state.maps.names)
+        maps, covariances = list(self._state.maps.maps), list(self._state.covariances)
+        maps[index] = dataclasses.replace(maps[index], name=name)
+        covariances[index] = covariances[index].renamed(name)
+        self._move(tuple(maps), tuple(covariances), index)
 
     @on_host
     def result(self) -> Selection:
@@ -300,13 +319,16 @@ class IncrementalPcm:
     def merge(self, **options: Any) -> MergeResult:
         """Merges the maps by the closures that are believed now, as `merge` of `graph` does.
 
+        Solves from where the last call ended, where that is the better start.
+
         Args:
             **options: `solver`, `engine`, `refine` and `progress` of `merge`.
 
         Raises:
             InputError: as `merge`.
         """
-        return merged_by(self.result(), options)
+        self._merged = merged_by(self.result(), options, self._merged)
+        return self._merged
 
     @on_host
     def save(self, path: str | PathLike[str]) -> None:
@@ -327,8 +349,7 @@ class IncrementalPcm:
         meta = {
             "form": FORM,
             "options": options,
-            "most_waiting": self._most_waiting,
-            "hysteresis": self._hysteresis,
+            "rule": (self._most_waiting, self._hysteresis),
             "step": self._step,
             "log": [dataclasses.astuple(change) for change in self._log],
             "names": self._names,
@@ -353,29 +374,15 @@ class IncrementalPcm:
         """
         meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
-        online._options, online._most_waiting = meta["options"], meta["most_waiting"]
-        online._hysteresis, online._step = meta["hysteresis"], meta["step"]
+        online._options, online._step = meta["options"], meta["step"]
+        online._most_waiting, online._hysteresis = meta["rule"]
         online._log = deque((Change(*each) for each in meta["log"]), maxlen=MOST_LOGGED)
         method, confidence, gate = meta["names"]
         online._names, online._metric = (method, confidence, gate), meta["metric"]
         online._seconds = meta["seconds"]
-        online._identities = online._graph = online._selection = None
-        online._state = state_of(arrays, meta, (gate, online._memory_limit(), None))
+        online._identities = online._graph = online._selection = online._merged = None
+        online._state = state_of(arrays, meta, (gate, memory_limit(meta["options"]), None))
         return online
-
-    def _memory_limit(self) -> float:
-        """Bytes for distances: any number of them where the method needs them, as for `select`."""
-        method = self._options.get("method", EXACT)
-        by = {name: self._options[name] for name in ("tie_break",) if name in self._options}
-        limit = self._options.get("memory_limit", MEMORY_LIMIT)
-        return np.inf if needs_distances(method, by) else limit
-
-    def _met(self) -> Identities:
-        """All closures held and waiting, by their names."""
-        met = Identities()
-        met.meet(self._state.arrived.closures, int)
-        met.meet(self._state.waiting, lambda _: WAITS)
-        return met
 
     def _move(
         self, maps: tuple[PoseGraph, ...], covariances: tuple[MapCovariance, ...], grown: int | None
