@@ -176,9 +176,8 @@ def grown_by(
     odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
     if odometry:
         return grown, covariance.extend(placed), True
-    if settled:
-        return grown, MapCovariance(grown), False
-    return grown, MapCovariance(optimized_maps((placed,), False, initial="given")[0]), False
+    optimum = grown if settled else optimized_maps((placed,), False, initial="given")[0]
+    return grown, MapCovariance(optimum, origin=covariance.origin), False
 
 
 def _placed(old: Any, part: NewPart) -> Any:

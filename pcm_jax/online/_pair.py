@@ -30,6 +30,8 @@ from pcm_jax.selection.weights import weights_for
 
 MANY = 64
 """Closures that come together, from which all pairs are weighed at once rather than row by row."""
+MOST_MOVED = 0.3
+"""Share of closures that moved, from which all pairs are weighed anew at once."""
 
 Covariances = tuple[MapCovariance, MapCovariance]
 Metric = Callable[[Any, Any, LoopClosures], Any]
@@ -157,6 +159,34 @@ class HeldPair:
         anew = HeldPair(self.robots, covariances, self.gate, self._limit, self._metric)
         anew.add(self.measured, self.closures)
         anew.believed = self.believed
+        return anew
+
+    def refreshed(self, covariances: Covariances, tolerance: float) -> HeldPair:
+        """The same closures in other maps, weighed anew where distances moved.
+
+        Args:
+            covariances: of the maps.
+            tolerance: how far q (not squared) of two closures may have moved for them to be left
+                as they were judged.
+
+        Raises:
+            InputError: as `add`.
+        """
+        if self._growing is None or self.clique is None or not tolerance or not len(self):
+            return self.rebuilt(covariances)
+        growing = GrowingPair(covariances, self.gate)
+        growing.take_in(self.measured)
+        moved = self._growing.moved_to(growing) > 0.5 * tolerance
+        if moved.sum() > MOST_MOVED * len(self):
+            return self.rebuilt(covariances)
+        growing.keep(~moved, self._growing)
+        anew, graph = self.copy(), self.clique.dense()
+        for row in np.flatnonzero(moved).tolist():
+            graph[row] = graph[:, row] = growing.agreeing(self.measured[[row]])
+        np.fill_diagonal(graph, False)
+        anew.covariances, anew._growing = covariances, growing
+        anew.clique = GrowingClique.of_graph(graph) if moved.any() else self.clique
+        anew._forget()
         return anew
 
     def evidence(self) -> PairEvidence:

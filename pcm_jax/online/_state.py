@@ -32,6 +32,7 @@ class State:
         repeated: how many came that stated an earlier one again.
         pairs: by robots, those that closures join.
         weighing: gate, memory limit and metric of the pairs.
+        tolerance: how far distances may have moved for pairs to be left as they were judged.
     """
 
     maps: MultiRobotGraph
@@ -41,6 +42,7 @@ class State:
     repeated: int
     pairs: dict[Robots, HeldPair]
     weighing: tuple[float, float, Any]
+    tolerance: float = 0.0
 
     @classmethod
     def of_maps(
@@ -151,7 +153,7 @@ class State:
 
     def _current(self, pair: HeldPair) -> HeldPair:
         both = self._both(pair.robots)
-        return pair if pair.is_in(both) else pair.rebuilt(both)
+        return pair if pair.is_in(both) else pair.refreshed(both, self.tolerance)
 
     def _both(self, robots: Robots) -> tuple[MapCovariance, MapCovariance]:
         return self.covariances[robots[0]], self.covariances[robots[1]]

@@ -6,7 +6,7 @@ same rule, with the same certificate. What a step costs is what it changes:
     a closure comes     one row of Q; a search for a larger set that must hold it
     a closure goes      a search for a set as large, if it was in the largest
     odometry comes      nothing: distances between closures stay what they were
-    a loop in a map     that map's optimum, and the graphs of its pairs of robots, when next asked
+    a loop in a map     that map's optimum; when next asked, the pairs whose distance has moved
     the answer          chance, places and rivals of the pairs of robots that changed since
 
 Whatever is refused leaves everything as it was: a step is worked out first, and then taken.
@@ -65,10 +65,9 @@ class IncrementalPcm:
     removed, those behind them move up, as in an array. One that states an earlier one again counts
     once (`repeated`); one that touches a pose that has not come yet waits for it (`waiting`).
 
-    A closure costs one row of Q and a search among those that agree with it. That is so for
-    Mahalanobis distances, and the search for `"pcm-exact"` where weights, ties by distance and
-    time limits do not decide: other methods and metrics of one's own are asked anew, with what
-    changed.
+    A closure costs one row of Q and a search among those that agree with it: with Mahalanobis
+    distances, and `"pcm-exact"` where weights, ties by distance and time limits do not decide.
+    Other methods and metrics of one's own are asked anew, with what changed.
 
     Args:
         graph: the robots' maps, and the closures that are known already.
@@ -76,6 +75,8 @@ class IncrementalPcm:
         hysteresis: the set believed so far stays, with what has come and agrees with all of it,
             unless the method's has more than so many closures (weighs so much) more, see `_steady`.
             0: the answer is that of `select`.
+        tolerance: how far a loop or other maps may move the distance (not squared) of two closures
+            that are then judged as before. 0: the answer is that of `select`.
         **options: as for `select`.
 
     Raises:
@@ -89,11 +90,13 @@ class IncrementalPcm:
         *,
         most_waiting: int = MOST_WAITING,
         hysteresis: float = 0.0,
+        tolerance: float = 0.0,
         **options: Any,
     ) -> None:
         check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
         check_number("most_waiting", most_waiting, least=0, integer=True)
         check_number("hysteresis", hysteresis, least=0)
+        check_number("tolerance", tolerance, least=0)
         self._options, self._most_waiting = options, most_waiting
         self._hysteresis, self._step = float(hysteresis), 0
         self._log: deque[Change] = deque(maxlen=MOST_LOGGED)
@@ -103,7 +106,8 @@ class IncrementalPcm:
         self._metric, self._seconds = started.evidence.metric, dict(started.evidence.seconds)
         metric = options.get("metric") if callable(options.get("metric")) else None
         weighing = started.gate, memory_limit(options), metric
-        self._state = State.of_maps(maps, started.evidence.covariances, weighing)
+        state = State.of_maps(maps, started.evidence.covariances, weighing)
+        self._state = dataclasses.replace(state, tolerance=float(tolerance))
         self._identities: Identities | None = None
         self._graph: MultiRobotGraph | None = None
         self._merged: MergeResult | None = None
@@ -142,10 +146,7 @@ class IncrementalPcm:
 
     @property
     def log(self) -> tuple[Change, ...]:
-        """The closures that entered answers and left them, and why: the last 10,000 of them.
-
-        One that was removed did not leave by itself, and is not told of.
-        """
+        """The last 10,000 closures that entered answers or left them by themselves, and why."""
         return tuple(self._log)
 
     @on_host
@@ -275,9 +276,6 @@ class IncrementalPcm:
 
         Returns:
             its index.
-
-        Raises:
-            InputError: as `replace_maps`.
         """
         check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
         maps = self._state.maps.maps
@@ -302,8 +300,8 @@ class IncrementalPcm:
     def result(self) -> Selection:
         """The closures to believe: what `select` answers for `graph`.
 
-        Kept until something changes; of the pairs of robots only those that changed are judged
-        anew. What was accepted is tested again each time, and may leave: see `log`.
+        Kept until something changes; only pairs of robots that changed are judged anew. What was
+        accepted is tested again each time, and may leave: see `log`.
 
         Warns:
             InputWarning: as `select`.
@@ -349,7 +347,7 @@ class IncrementalPcm:
         meta = {
             "form": FORM,
             "options": options,
-            "rule": (self._most_waiting, self._hysteresis),
+            "rule": (self._most_waiting, self._hysteresis, self._state.tolerance),
             "step": self._step,
             "log": [dataclasses.astuple(change) for change in self._log],
             "names": self._names,
@@ -375,13 +373,14 @@ class IncrementalPcm:
         meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
         online._options, online._step = meta["options"], meta["step"]
-        online._most_waiting, online._hysteresis = meta["rule"]
+        online._most_waiting, online._hysteresis, tolerance = meta["rule"]
         online._log = deque((Change(*each) for each in meta["log"]), maxlen=MOST_LOGGED)
         method, confidence, gate = meta["names"]
         online._names, online._metric = (method, confidence, gate), meta["metric"]
         online._seconds = meta["seconds"]
         online._identities = online._graph = online._selection = online._merged = None
-        online._state = state_of(arrays, meta, (gate, memory_limit(meta["options"]), None))
+        state = state_of(arrays, meta, (gate, memory_limit(meta["options"]), None))
+        online._state = dataclasses.replace(state, tolerance=tolerance)
         return online
 
     def _move(

@@ -441,3 +441,54 @@ def test_a_state_shares_what_did_not_change(graph, online):
     assert after.pairs[0, 2] is before.pairs[0, 2]
     assert after.pairs[0, 1] is not before.pairs[0, 1]
     assert len(before.pairs[0, 1]) + 1 == len(after.pairs[0, 1])
+
+
+def moving(graph, factor):
+    """The maps after one edge in the middle of the first is measured more finely."""
+    one = graph.maps[0]
+    information = np.array(one.information)
+    information[40] *= factor
+    return [dataclasses.replace(one, information=information), *graph.maps[1:]]
+
+
+@pytest.mark.parametrize("factor", [1.001, 1.2, 3.0])
+def test_only_what_moved_is_measured_anew(graph, monkeypatch, factor):
+    online = IncrementalPcm(graph, tolerance=0.1)
+    online.result()
+    rebuilt = counting(monkeypatch, _pair.HeldPair, "rebuilt")
+    rows = counting(monkeypatch, _pair.GrowingPair, "agreeing")
+    was = {robots: pair._growing for robots, pair in online._state.pairs.items()}
+    online.replace_maps(moving(online.graph, factor))
+    found, measured = online.result(), len(rows)
+    plain = IncrementalPcm(online.graph)
+    for robots, pair in plain._state.pairs.items():
+        moved = was[robots].moved_to(pair._growing)
+        squared = pair.evidence().squared
+        before = select(graph).pairs[sorted(plain._state.pairs).index(robots)].evidence.squared
+        near = np.minimum(before, squared) <= pair.gate
+        apart = np.abs(np.sqrt(before) - np.sqrt(squared))[near]
+        bound = (moved[:, None] + moved[None])[near]
+        assert (apart <= 1.05 * bound + 1e-9).all()
+        assert robots[0] == 0 or moved.max() < 1e-6
+    assert_same_answer(found, select(online.graph))
+    pairs = [pair.robots for pair, _ in rebuilt]
+    assert (1, 2) not in pairs and (len(rebuilt) == 0) == (factor == 1.001)
+    assert (measured == 0) == (factor == 1.001)
+
+
+def test_few_that_moved_are_measured_row_by_row(graph, monkeypatch):
+    online = IncrementalPcm(graph, tolerance=1e-3)
+    online.result()
+    monkeypatch.setattr(_pair, "MOST_MOVED", 1.0)
+    monkeypatch.setattr(_pair.HeldPair, "rebuilt", pytest.fail)
+    rows = counting(monkeypatch, _pair.GrowingPair, "agreeing")
+    online.replace_maps(moving(online.graph, 3.0))
+    assert_same_answer(online.result(), select(online.graph))
+    assert len(rows) > 10
+
+
+def test_the_tolerance_is_saved(graph, tmp_path):
+    IncrementalPcm(graph, tolerance=0.25).save(tmp_path / "state.npz")
+    assert IncrementalPcm.load(tmp_path / "state.npz")._state.tolerance == 0.25
+    with pytest.raises(InputError, match="tolerance: -1"):
+        IncrementalPcm(graph, tolerance=-1)
