@@ -25,7 +25,8 @@ class Change:
     """A closure that entered an answer or left it.
 
     Attributes:
-        step: how many changes of maps and closures had been taken when the answer was given.
+        step: how many changes of maps and closures had been taken when the answer was given, of
+            what there was at first none.
         closure: its index at that time.
         a, b: the poses that it joins.
         event: "entered" or "left".

@@ -98,7 +98,7 @@ class IncrementalPcm:
         check_number("hysteresis", hysteresis, least=0)
         check_number("tolerance", tolerance, least=0)
         self._options, self._most_waiting = options, most_waiting
-        self._hysteresis, self._step = float(hysteresis), 0
+        self._hysteresis, self._step = float(hysteresis), -1
         self._log: deque[Change] = deque(maxlen=MOST_LOGGED)
         maps = dataclasses.replace(graph, closures=LoopClosures.empty(graph.group))
         started = select(maps, **options)

@@ -102,7 +102,7 @@ class IncrementalWithin:
         check_number("most_waiting", most_waiting, least=0, integer=True)
         check_number("hysteresis", hysteresis, least=0)
         self._options, self._most_waiting = options, most_waiting
-        self._hysteresis, self._step = float(hysteresis), 0
+        self._hysteresis, self._step = float(hysteresis), -1
         self._log: deque[Change] = deque(maxlen=MOST_LOGGED)
         self._members = self._believed = np.zeros(0, bool)
         self._question = Question.from_options(options)
