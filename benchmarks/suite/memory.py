@@ -23,7 +23,7 @@ from benchmarks.suite import gtsam_peer, maps
 from benchmarks.suite.harness import ROOT, Case, Measured, Metric, Settings
 from benchmarks.suite.optimization import ENGINES, at_chordal_poses
 
-FIGURE = 2.0
+FIGURE = 1.5
 RUNTIME = (
     "Python with JAX, SciPy, optimistix and what XLA compiled holds over 300 MB before the first"
     " solve, GTSAM's process 85 MB"
