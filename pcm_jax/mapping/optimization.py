@@ -9,7 +9,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from pcm_jax import lie
 from pcm_jax.arrays import on_host
@@ -142,6 +141,8 @@ def optimize_from(initial: str, pose_graph: PoseGraph, **options: Any) -> Soluti
 
 def _is_suspicious(pose_graph: PoseGraph, found: Solution) -> bool:
     """True where a solution can hardly be the optimum; of priors nothing is known but the steps."""
+    from scipy.special import chdtrc
+
     if not found.converged:
         return True
     freedom = pose_graph.tangent_dim * (pose_graph.num_edges - pose_graph.num_poses + 1)
