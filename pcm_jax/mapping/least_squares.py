@@ -180,7 +180,7 @@ class PoseProblem:
             limits = {"rtol": rtol, "atol": atol, "max_steps": max_steps}
             found = minimize(
                 with_frame(poses, self._poses),
-                self._scaled(scale).cut(self._edges),
+                self._scaled(scale).part(slice(self._edges)),
                 self._free[: self._poses],
                 damped=solver == SOLVERS[1],
                 **limits,
@@ -214,7 +214,9 @@ class PoseProblem:
         Args:
             poses: Lie `[n]`.
         """
-        residual = whitened_residual(with_frame(poses, self._poses), self._padded.cut(self._edges))
+        residual = whitened_residual(
+            with_frame(poses, self._poses), self._padded.part(slice(self._edges))
+        )
         return 0.5 * float(np.sum(np.square(residual)))
 
     def _is_compiled(self) -> bool:
