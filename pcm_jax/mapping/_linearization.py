@@ -46,10 +46,10 @@ class Edges:
     measurement: lie.Transform  # type: ignore[valid-type]
     whitening: Float[Array, "d d e"]
 
-    def cut(self, count: int) -> Edges:
-        """The first edges, without padding."""
-        measurement = lie.take(self.measurement, slice(0, count))
-        return Edges(self.tail[:count], self.head[:count], measurement, self.whitening[..., :count])
+    def part(self, some: slice) -> Edges:
+        """Some of the edges."""
+        measurement = lie.take(self.measurement, some)
+        return Edges(self.tail[some], self.head[some], measurement, self.whitening[..., some])
 
 
 class EdgeJacobians(NamedTuple):

@@ -27,6 +27,8 @@ FIRST_DAMPING = 1e-5
 LOW_CUTOFF, HIGH_CUTOFF = 0.01, 0.75
 """Of the predicted fall of the cost: with less a step is refused, with more it may grow."""
 SHRINKING, GROWING = 0.25, 10.0
+SLICE = 4096
+"""Edges that are linearised at once: what is formed on the way takes memory for so many."""
 ROUNDING = 16
 """Units in the last place of the farthest coordinate: a step's product of several roundings."""
 
@@ -42,28 +44,44 @@ class Found(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """A candidate, linearised.
+    """A candidate, and what the next step needs of it.
 
     Attributes:
         poses: Lie `[n]`.
-        linear: residuals and Jacobians, see `linearize`.
         cost: half the sum of squares.
+        products, gradients: see `EdgeProducts`.
+        slopes: of each slice of edges its residuals and Jacobians; none without damping.
     """
 
     poses: Any
-    linear: Any
     cost: float
+    products: Float[np.ndarray, "3 e d d"]
+    gradients: Float[np.ndarray, "2 e d"]
+    slopes: list[tuple[Edges, Any]]
 
     @classmethod
-    def at(cls, poses: Any, edges: Edges) -> _Judged:
-        linear: Any = linearize(poses, edges)
-        return cls(poses, linear, 0.5 * float(np.sum(linear[0] * linear[0])))
+    def at(cls, poses: Any, edges: Edges, damped: bool) -> _Judged:
+        d, count = edges.whitening.shape[1:]
+        products, gradients = np.empty((3, count, d, d)), np.empty((2, count, d))
+        cost, slopes = 0.0, []
+        with np.errstate(over="ignore", invalid="ignore"):  # a poor step's: its cost says so
+            for start in range(0, count, SLICE):
+                part = slice(start, start + SLICE)
+                some = edges.part(part)
+                linear: Any = linearize(poses, some)
+                cost += 0.5 * float(np.sum(np.square(linear.residual)))
+                found = edge_products(linear.tail, linear.head, linear.residual)
+                products[:, part], gradients[:, part] = found
+                slopes += [(some, linear)] * damped
+        return cls(poses, cost, products, gradients, slopes)
 
-    def predicted(self, edges: Edges, delta: Any) -> float:
+    def predicted(self, delta: Any) -> float:
         """The change of the cost by a step, if the residuals were linear."""
-        residual, by_tail, by_head = self.linear
-        after = residual + differential(by_tail, by_head, edges.tail, edges.head, delta.T)
-        return 0.5 * float(np.sum(after * after)) - self.cost
+        after = 0.0
+        for some, (residual, by_tail, by_head) in self.slopes:
+            moved = differential(by_tail, by_head, some.tail, some.head, delta.T)
+            after += float(np.sum(np.square(residual + moved)))
+        return 0.5 * after - self.cost
 
 
 def minimize(
@@ -87,17 +105,17 @@ def minimize(
         rtol, atol: see `ManifoldGaussNewton`.
         max_steps: evaluations after which to give up.
     """
-    best = _Judged.at(poses, edges)
+    best = _Judged.at(poses, edges, damped)
     initial, step_size, accepted = best.cost, 1.0, 0
     for _ in range(max_steps - 1):
         if not np.isfinite(best.cost):
             break
         damping = FIRST_DAMPING / step_size if damped else 0.0
-        delta: Any = -_step(edges, free, best.linear, damping)
-        found, before = _Judged.at(retract(best.poses, delta), edges), best
+        delta: Any = -_step(edges, free, best, damping)
+        found, before = _Judged.at(retract(best.poses, delta), edges, damped), best
         accept, growth = True, 1.0
         if damped:
-            accept, growth = _judge(found.cost - before.cost, before.predicted(edges, delta))
+            accept, growth = _judge(found.cost - before.cost, before.predicted(delta))
         step_size *= growth
         settled = at_rest(delta, before.poses, atol)
         if accept:
@@ -129,13 +147,12 @@ def at_rest(delta: Float[Any, "n d"], poses: Any, atol: float) -> Any:
 
 
 def _step(
-    edges: Edges, free: np.ndarray, linear: tuple[Any, Any, Any], damping: float
+    edges: Edges, free: np.ndarray, here: _Judged, damping: float
 ) -> Float[np.ndarray, "n d"]:
     """(JᵀJ + λ diag(JᵀJ))⁻¹ Jᵀ r; NaN if there is no factor."""
-    residual, by_tail, by_head = linear
-    step = np.empty((len(free), len(residual)))
-    counts: Any = np.array([len(free), residual.shape[1]])
+    step = np.empty((len(free), here.gradients.shape[-1]))
+    counts: Any = np.array([len(free), len(edges.tail)])
     pattern: Any = edges.tail, edges.head, free, counts
-    numbers: Any = edge_products(by_tail, by_head, residual)
+    numbers: Any = here.products, here.gradients
     solve_on_host(step, *pattern, np.asarray(damping), *numbers, np.zeros_like(step))
     return step

@@ -90,3 +90,15 @@ def test_large_problems_are_compiled_for(pose_graph, monkeypatch):
     most = (pose_graph.num_edges - 1) * edge
     monkeypatch.setattr("pcm_jax.compiling.SECONDS_TO_COMPILE", most)
     assert optimize(pose_graph).converged and len(called) == 1
+
+
+def test_slices_of_edges_are_the_whole(pose_graph, monkeypatch):
+    for solver in least_squares.SOLVERS:
+        whole = optimize(pose_graph, solver=solver)
+        with monkeypatch.context() as patched:
+            patched.setattr("pcm_jax.mapping._stepwise.SLICE", 7)
+            sliced = optimize(pose_graph, solver=solver)
+        assert sliced.iterations == whole.iterations
+        assert sliced.cost == pytest.approx(whole.cost, rel=1e-12)
+        poses = (lie.parameters(lie.as_numpy(one.graph.poses)) for one in (sliced, whole))
+        np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
