@@ -40,12 +40,16 @@ CLASSES = (1, 10, 100, 1_000, 10_000)
 """Poses: the least length of the loops of a class."""
 MOST = 300
 """Loops of a class that are looked at, evenly spaced."""
+FEWEST = 5
+"""Loops of a class; of fewer nothing is said."""
 LAGS = (1, 2, 4, 8, 16, 32)
 """Closures, in the order of their first poses, that are paired."""
 DRAWS, AT_ONCE = 199, 20
 """Simulated errors; how many are held in memory."""
 GRID = np.linspace(-4.6, 4.6, 93)
 """Of log s."""
+ALIKE = 0.1
+"""In log deviations: lengths that differ by less are alike."""
 LEVEL = 0.01
 """Probability below which lengths contradict each other."""
 
@@ -96,13 +100,19 @@ class Growth:
             + f" in loops of {end}"
             for row, (one, end) in enumerate(zip(self.lengths, ends, strict=True))
         ]
-        times = [one.times for one in self.lengths]
-        way = "faster" if times[-1] > times[0] else "more slowly"
         return (
-            f"odometry's errors grow {way} with the way than independent ones do:"
-            f" {', '.join(told)}; no single factor holds for all, and the intervals of odometry's"
-            " cover that"
+            f"odometry's errors {self._way()}: {', '.join(told)}; no single factor holds for all,"
+            " and the intervals of odometry's cover that"
         )
+
+    def _way(self) -> str:
+        times = np.log([one.times for one in self.lengths])
+        change = np.diff(times)
+        up, down = (change > -ALIKE).all(), (change < ALIKE).all()
+        if not (up or down):
+            return "do not grow with the way as independent ones do"
+        faster = times[-1] > 0.0 if up and down else up
+        return f"grow {'faster' if faster else 'more slowly'} with the way than independent ones do"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data, as in `report.json`."""
@@ -130,10 +140,10 @@ def growth(parts: list[Part], variance: Float[np.ndarray, " 4"], *, seed: int = 
     named, best = [], []
     for number, least in enumerate(CLASSES):
         rows = np.searchsorted(CLASSES, length, side="right") == number + 1
-        if rows.any():
+        if rows.sum() >= FEWEST:
             named.append((least, int(rows.sum())))
             best.append(_likeliest(expected[rows], squared[rows]))
-    return _growth(named, np.array(best))
+    return _growth(named, np.array(best)) if named else Growth()
 
 
 def _growth(named: list[tuple[int, int]], log: Float[np.ndarray, "c s"]) -> Growth:

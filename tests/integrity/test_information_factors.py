@@ -1,6 +1,7 @@
 """Factors on information: the likelihood they maximise, worlds whose noise is known, words."""
 
 import copy
+import dataclasses
 import pickle
 
 import numpy as np
@@ -240,6 +241,23 @@ def test_bad_arguments(city):
         pcm_jax.calibrate(city.graph, np.ones(3, bool))
     with pytest.raises(InputError, match="accepted: int"):
         pcm_jax.calibrate(city.graph, [10**6])
+
+
+def test_intervals_cover_what_differs_from_length_to_length():
+    """A drift of 0.3 sigma a step: short loops fix the factor, and long ones contradict it."""
+    one = simulate_city(seed=6, poses=400).graph.maps[0]
+    closing = closing_edges(one)
+    assert not pcm_jax.calibrate(one).growth.uneven
+    bias = np.where(closing[:, None], 0.0, [0.0, 0.0, 0.003])
+    drifting = lie.compose(lie.as_numpy(one.measurement), lie.as_numpy(lie.exp(one.group, bias)))
+    found = pcm_jax.calibrate(dataclasses.replace(one, measurement=drifting))
+    assert found.growth.uneven
+    assert found.growth.words in str(found)
+    for factor, low, high in zip(
+        found.odometry, found.components.low, found.components.high, strict=False
+    ):
+        assert factor.interval[0] < 0.9 / high
+        assert factor.interval[1] > 1.1 / low
 
 
 def test_a_factor_is_a_number():

@@ -133,6 +133,18 @@ def test_nothing_is_said_of_no_loops():
     assert Growth().as_dict() == {"p": 1.0, "loops": []}
 
 
+def test_words_say_which_way():
+    def words(*times):
+        lengths = (LengthFactor(10**k, 9, each, (0.5, 2.0)) for k, each in enumerate(times))
+        return Growth(tuple(lengths), 0.005, 0.5).words
+
+    assert words(1.0, 2.0, 3.0).startswith("odometry's errors grow faster with the way")
+    assert words(1.0, 0.5).startswith("odometry's errors grow more slowly with the way")
+    assert words(1.0, 3.0, 2.0).startswith("odometry's errors do not grow with the way as")
+    told = "1 times (0.5 to 2) as large as these factors say in loops of 1 to 9 poses"
+    assert f"{told}, 2 times (0.5 to 2) in loops of 10 poses and more" in words(1.0, 2.0)
+
+
 def test_plain_data():
     one = LengthFactor(10, 7, 1.5, (1.0, 2.0))
     told = dataclasses.replace(Growth(), lengths=(one,), p_value=0.5).as_dict()
