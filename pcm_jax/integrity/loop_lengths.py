@@ -48,8 +48,6 @@ DRAWS, AT_ONCE = 199, 20
 """Simulated errors; how many are held in memory."""
 GRID = np.linspace(-4.6, 4.6, 93)
 """Of log s."""
-ALIKE = 0.1
-"""In log deviations: lengths that differ by less are alike."""
 LEVEL = 0.01
 """Probability below which lengths contradict each other."""
 
@@ -106,12 +104,14 @@ class Growth:
         )
 
     def _way(self) -> str:
-        times = np.log([one.times for one in self.lengths])
-        change = np.diff(times)
-        up, down = (change > -ALIKE).all(), (change < ALIKE).all()
-        if not (up or down):
+        low, high = np.transpose([one.interval for one in self.lengths])
+        shorter = np.tri(len(low), k=-1, dtype=bool)
+        rises = bool((shorter & (low[:, None] > high)).any())
+        falls = bool((shorter & (high[:, None] < low)).any())
+        if rises and falls:
             return "do not grow with the way as independent ones do"
-        faster = times[-1] > 0.0 if up and down else up
+        last = self.lengths[-1].times > 1.0
+        faster = last if rises == falls else rises
         return f"grow {'faster' if faster else 'more slowly'} with the way than independent ones do"
 
     def as_dict(self) -> dict[str, Any]:

@@ -135,14 +135,17 @@ def test_nothing_is_said_of_no_loops():
 
 def test_words_say_which_way():
     def words(*times):
-        lengths = (LengthFactor(10**k, 9, each, (0.5, 2.0)) for k, each in enumerate(times))
+        lengths = (
+            LengthFactor(10**k, 9, each, (0.5 * each, 1.5 * each)) for k, each in enumerate(times)
+        )
         return Growth(tuple(lengths), 0.005, 0.5).words
 
-    assert words(1.0, 2.0, 3.0).startswith("odometry's errors grow faster with the way")
-    assert words(1.0, 0.5).startswith("odometry's errors grow more slowly with the way")
-    assert words(1.0, 3.0, 2.0).startswith("odometry's errors do not grow with the way as")
-    told = "1 times (0.5 to 2) as large as these factors say in loops of 1 to 9 poses"
-    assert f"{told}, 2 times (0.5 to 2) in loops of 10 poses and more" in words(1.0, 2.0)
+    assert words(1.0, 2.0, 4.0).startswith("odometry's errors grow faster with the way")
+    assert words(1.0, 0.2).startswith("odometry's errors grow more slowly with the way")
+    assert words(1.0, 5.0, 1.0).startswith("odometry's errors do not grow with the way as")
+    assert words(1.0, 1.5).startswith("odometry's errors grow faster with the way")
+    told = "1 times (0.5 to 1.5) as large as these factors say in loops of 1 to 9 poses"
+    assert f"{told}, 2 times (1 to 3) in loops of 10 poses and more" in words(1.0, 2.0)
 
 
 def test_plain_data():
