@@ -17,10 +17,12 @@ P the covariance of the odometry on the way, Z that of the closures, both under 
     c ~ N(0, s P + Z),      s = 1 if the factor is right at this length
 
 s of every class of lengths (by powers of ten of poses) maximises the product of its loops'
-densities. These are not independent, so that all its statistics are taken from simulated errors on
-the same loops: their 90 % intervals, and the probability p that classes differ as much from 1 by
-chance, by the squared Mahalanobis distance of their cube roots (that of a chi-squared is nearly
-normal; Wilson and Hilferty 1931).
+densities. Short loops are many and determine the factor that is the likeliest if there is one.
+Where lengths differ there is none, and each has the same say in the mean of their variances. Loops
+are not independent, so that all statistics are taken from simulated errors on the same loops: 90 %
+intervals, and the probability p that classes differ as much from 1 by chance, by the squared
+Mahalanobis distance of their cube roots (that of a chi-squared is nearly normal; Wilson and
+Hilferty 1931).
 """
 
 from __future__ import annotations
@@ -58,7 +60,7 @@ class LengthFactor(NamedTuple):
     Attributes:
         poses: their least length, steps of odometry.
         loops: how many were looked at.
-        times: on odometry's standard deviations under the factors found (1: as these say).
+        times: on odometry's standard deviations under the factors (1: as these say).
         interval: its lower and upper end, 90 %.
     """
 
@@ -75,11 +77,14 @@ class Growth:
     Attributes:
         lengths: from the shortest to the longest.
         p_value: of differences as large where one factor holds for all; 1 for fewer than two.
+        variance: the mean over lengths, times odometry's under the factors found; 1 unless they
+            differ.
         deviation: of the logarithm of the variance, from length to length; 0 unless they differ.
     """
 
     lengths: tuple[LengthFactor, ...] = ()
     p_value: float = 1.0
+    variance: float = 1.0
     deviation: float = 0.0
 
     @property
@@ -108,11 +113,9 @@ class Growth:
         shorter = np.tri(len(low), k=-1, dtype=bool)
         rises = bool((shorter & (low[:, None] > high)).any())
         falls = bool((shorter & (high[:, None] < low)).any())
-        if rises and falls:
+        if rises == falls:
             return "do not grow with the way as independent ones do"
-        last = self.lengths[-1].times > 1.0
-        faster = last if rises == falls else rises
-        return f"grow {'faster' if faster else 'more slowly'} with the way than independent ones do"
+        return f"grow {'faster' if rises else 'more slowly'} with the way than independent ones do"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data, as in `report.json`."""
@@ -128,6 +131,10 @@ def growth(parts: list[Part], variance: Float[np.ndarray, " 4"], *, seed: int = 
         parts: connected maps, each at poses near its optimum.
         variance: the factors found, of `variance_components`.
         seed: of simulated errors.
+
+    Returns:
+        Lengths, and what they make of the factors: where they differ, the mean of the variance over
+        lengths, and the deviation of its logarithm for a length that is not known.
     """
     found = [
         loops
@@ -162,9 +169,20 @@ def _growth(named: list[tuple[int, int]], log: Float[np.ndarray, "c s"]) -> Grow
     weight = np.linalg.pinv(np.cov(root[:, 1:]))
     far = np.einsum("cs,ck,ks->s", root, weight, root)
     p = float((1 + np.sum(far[1:] >= far[0])) / (1 + DRAWS))
-    within = ((many - few) / 3.29) ** 2
-    between = float(np.mean((real - middle) ** 2 - within))
-    return Growth(lengths, p, max(between, 0.0) ** 0.5 if p <= LEVEL else 0.0)
+    if p > LEVEL:
+        return Growth(lengths, p)
+    within, log_variance = np.mean(((many - few) / 3.29) ** 2), real - middle
+    mean = float(np.exp(log_variance).mean())
+    between = float(max(log_variance.var(ddof=1) - within, 0.0))
+    spread = (between + (between + within) / len(lengths)) ** 0.5
+    times = [_divided(one, mean**0.5) for one in lengths]
+    return Growth(tuple(times), p, mean, float(spread))
+
+
+def _divided(one: LengthFactor, times: float) -> LengthFactor:
+    """The same under deviations so many times larger."""
+    low, high = one.interval
+    return one._replace(times=float(one.times / times), interval=(low / times, high / times))
 
 
 def _times(real: float, few: float, middle: float, many: float) -> tuple[float, tuple]:

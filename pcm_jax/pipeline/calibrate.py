@@ -26,7 +26,7 @@ from pcm_jax.integrity.calibration import (
     closing_edges,
     scaled_graph,
 )
-from pcm_jax.integrity.loop_lengths import growth
+from pcm_jax.integrity.loop_lengths import Growth, growth
 from pcm_jax.integrity.variance_components import Components, Part, variance_components
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import TOO_BAD
@@ -109,7 +109,7 @@ def calibrate(
         chosen = agreeing(maps, chosen, known, seed)
     components, chosen = _settled(maps, chosen, confidence, seed)
     by_length = growth(parts_of(maps, chosen), components.variance, seed=seed)
-    factors = _factors(components, by_length.deviation)
+    factors = _factors(components, by_length)
     loops = [closing_edges(one) for one in maps.maps]
     inside = sum(int(held[c].sum()) for held, c in zip(chosen.inside, loops, strict=True))
     return Calibration(
@@ -201,15 +201,17 @@ def _cleaned(one: PoseGraph, confidence: float, seed: int) -> Bool[np.ndarray, "
     return kept.kept if kept.accepted.any() else None
 
 
-def _factors(components: Components, deviation: float) -> list[Factor]:
-    """Factors on information; odometry's intervals wider by what differs from length to length."""
+def _factors(components: Components, by_length: Growth) -> list[Factor]:
+    """Factors on information; odometry's those for loops of any length, where these differ."""
     factors = []
-    for row, variance in enumerate(components.variance):
-        low, high = components.low[row], components.high[row]
+    for row in range(4):
+        times = by_length.variance if row < 2 else 1.0
+        ends = (components.variance[row], components.low[row], components.high[row])
+        variance, low, high = (times * each for each in ends)
         if not np.isfinite(high):
             factors.append(Factor(1.0, (0.0, np.inf)))
             continue
-        more = NINE_IN_TEN * deviation if row < 2 else 0.0
+        more = NINE_IN_TEN * by_length.deviation if row < 2 else 0.0
         down, up = (np.hypot(np.log(ratio), more) for ratio in (variance / low, high / variance))
         factors.append(Factor(1.0 / variance, (np.exp(-up) / variance, np.exp(down) / variance)))
     return factors

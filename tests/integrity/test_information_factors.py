@@ -253,11 +253,13 @@ def test_intervals_cover_what_differs_from_length_to_length():
     found = pcm_jax.calibrate(dataclasses.replace(one, measurement=drifting))
     assert found.growth.uneven
     assert found.growth.words in str(found)
-    for factor, low, high in zip(
-        found.odometry, found.components.low, found.components.high, strict=False
-    ):
-        assert factor.interval[0] < 0.9 / high
-        assert factor.interval[1] > 1.1 / low
+    short, times = found.components, found.growth.variance
+    assert times > 1.1
+    ends = zip(found.odometry, short.variance, short.low, short.high, strict=False)
+    for factor, likeliest, low, high in ends:
+        assert factor == pytest.approx(1.0 / (times * likeliest))
+        assert factor.interval[0] < 0.9 / (times * high)
+        assert factor.interval[1] > 1.1 / (times * low)
 
 
 def test_a_factor_is_a_number():

@@ -57,9 +57,10 @@ def biased(count):
 
 
 def taken_back(count):
-    """Each step takes back nine tenths of the error of the one before."""
-    drawn = np.random.default_rng(3).normal(size=(count + 1, 3))
-    return (drawn[1:] - 0.9 * drawn[:-1]) / 1.81**0.5
+    """White noise, and an error three times as large that the next step takes back."""
+    return white(count) + 3.0 * np.diff(
+        np.random.default_rng(4).normal(size=(count + 1, 3)), axis=0
+    )
 
 
 def test_independent_errors_have_one_factor():
@@ -77,19 +78,24 @@ def test_a_bias_grows_faster():
     found = growth([part_of(rounds(biased))], ONES)
     short, long = found.lengths[0], found.lengths[-1]
     assert found.uneven
-    assert 0.8 < short.times < 1.5
-    assert long.interval[0] > 1.5
-    assert long.times > 3.0
+    stated = found.variance**0.5
+    assert 0.8 < stated * short.times < 1.5
+    assert stated * long.interval[0] > 1.5
+    assert stated * long.times > 3.0
     assert found.deviation > 0.3
+    squares = np.mean([one.times**2 for one in found.lengths])
+    assert squares == pytest.approx(1.0)
     assert found.words.startswith("odometry's errors grow faster with the way")
     assert "1,000 poses and more" in found.words
 
 
 def test_errors_that_take_each_other_back_grow_more_slowly():
-    """A sum of n such steps has the variance of two, not of n."""
+    """A sum of n such steps has the variance of n + 18 steps, not of 19 n."""
     found = growth([part_of(rounds(taken_back))], ONES)
     assert found.uneven
-    assert found.lengths[-1].interval[1] < 0.7
+    short, long = (found.variance**0.5 * one.times for one in (found.lengths[0], found.lengths[-1]))
+    assert short > 1.4
+    assert 0.7 < long < 1.5
     assert found.words.startswith("odometry's errors grow more slowly with the way")
 
 
@@ -138,12 +144,12 @@ def test_words_say_which_way():
         lengths = (
             LengthFactor(10**k, 9, each, (0.5 * each, 1.5 * each)) for k, each in enumerate(times)
         )
-        return Growth(tuple(lengths), 0.005, 0.5).words
+        return Growth(tuple(lengths), 0.005).words
 
     assert words(1.0, 2.0, 4.0).startswith("odometry's errors grow faster with the way")
     assert words(1.0, 0.2).startswith("odometry's errors grow more slowly with the way")
     assert words(1.0, 5.0, 1.0).startswith("odometry's errors do not grow with the way as")
-    assert words(1.0, 1.5).startswith("odometry's errors grow faster with the way")
+    assert words(1.0, 1.5).startswith("odometry's errors do not grow with the way as")
     told = "1 times (0.5 to 1.5) as large as these factors say in loops of 1 to 9 poses"
     assert f"{told}, 2 times (1 to 3) in loops of 10 poses and more" in words(1.0, 2.0)
 
