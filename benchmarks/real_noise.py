@@ -102,7 +102,7 @@ def argos(data: Path) -> dict[str, Any]:
     found = calibrate(graph)
     kept = (int(merge(one).accepted.sum()) for one in (graph, found.apply(graph)))
     counts = dict(zip(("accepted_as_stated", "accepted_calibrated"), kept, strict=True))
-    return {ARGOS: told(found) | counts | {"closures": len(graph.closures)}}
+    return {ARGOS: told(found) | counts | {"of": len(graph.closures)}}
 
 
 STUDIES: dict[str, Callable[[Path], dict[str, Any]]] = {
