@@ -73,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     written = options.out / "summary.json"
     summary = json.loads(written.read_text()) if written.is_file() else {}
     for name in options.kinds:
+        if name in summary and summary[name]["all"]["worlds"] == options.worlds:
+            continue  # of a run that was stopped
         summary[name] = coverage(KINDS[name], range(options.worlds))
         written.write_text(json.dumps(summary, indent=2) + "\n")
         print(name, json.dumps(summary[name], indent=2), flush=True)

@@ -30,9 +30,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--worlds", type=int, default=200, metavar="N", help="of each group")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     options = parser.parse_args(arguments)
-    summary = {group: _named(group, options.worlds) for group in GROUPS}
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
+    written = options.out / "summary.json"
+    summary = json.loads(written.read_text()) if written.is_file() else {}
+    for group in GROUPS:
+        if summary.get(group, {}).get("worlds") != options.worlds:
+            summary[group] = _named(group, options.worlds)
+            written.write_text(json.dumps(summary, indent=2) + "\n")
     print(json.dumps(summary, indent=2))
     return 0
 

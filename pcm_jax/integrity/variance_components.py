@@ -285,7 +285,7 @@ class _Cut(NamedTuple):
 
     @classmethod
     def at(cls, gate: Float[np.ndarray, " e"], d: int) -> _Cut:
-        """What is left of chi-squareds with d degrees of freedom that are below a gate γ²."""
+        """Gives what is left of chi-squareds with d degrees of freedom that are below a gate γ²."""
         passed = np.maximum(chdtr(d, gate), np.finfo(float).tiny)
         return cls(chdtr(d + 2, gate) / passed, chdtr(d + 4, gate) / passed)
 

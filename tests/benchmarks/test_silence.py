@@ -31,3 +31,11 @@ def test_what_is_named_is_counted(monkeypatch):
 def test_worlds_are_cluttered_and_differ():
     counts = {len(silence.cluttered_world("SE2", seed).closures) for seed in range(6)}
     assert len(counts) > 3
+
+
+def test_a_group_that_is_done_is_not_done_again(monkeypatch, tmp_path):
+    monkeypatch.setattr(silence, "_named", lambda group, worlds: {"worlds": worlds, "named": 0})
+    arguments = ["--worlds", "3", "--out", str(tmp_path)]
+    assert silence.main(arguments) == 0
+    monkeypatch.delattr(silence, "_named")
+    assert silence.main(arguments) == 0
