@@ -129,7 +129,7 @@ def lever_arm(candidates: Candidates) -> float:
 def without_lever_arm(candidates: Candidates) -> Any:
     """The true poses of the point that odometry moves, Lie `[n]`."""
     truth = candidates.truth
-    back = np.tile(np.eye(3), (candidates.graph.num_poses, 1, 1))
+    back: Any = np.tile(np.eye(3), (candidates.graph.num_poses, 1, 1))
     back[:, :2, 2] = -_offset(candidates)
     return lie.compose(truth, lie.as_numpy(lie.from_matrix(back)))
 
