@@ -1,7 +1,7 @@
 """Measurements of what the package promises and of what the paper reports.
 
-`python -m benchmarks` runs the suite of promised figures. Every experiment of the paper, and eleven
-beyond it, is a command of its own.
+`python -m benchmarks` runs the suite of promised figures. Every experiment of the paper, and
+thirteen beyond it, is a command of its own.
 
     suite                   the promised figures, each beside what it is compared with
     one_dimensional_world   Figs 2 and 3: every method against enumeration
@@ -15,6 +15,8 @@ beyond it, is a command of its own.
     answers                 NEES of the answer: anchors and merged poses, as maps drift
     refine                  graduated non-convexity and recall from PCM's answer
     calibration_coverage    how often the intervals of `calibrate` hold
+    real_noise              what `calibrate` says of real files, and what the truth says of them
+    silence                 worlds without a mistake, and in how many of them triage names one
     covariances             the worth of the right covariance of the maps
     growth                  time and memory to 50,000 closures
     learning                a network trained through the check and the merge

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -122,7 +122,20 @@ def noise(candidates: Candidates, selection: WithinSelection) -> dict[str, float
 
 
 def lever_arm(candidates: Candidates) -> float:
-    """Distance from the point that odometry moves to the one whose true pose is known, m.
+    """Distance from the point that odometry moves to the one whose true pose is known, m."""
+    return float(np.linalg.norm(_offset(candidates)))
+
+
+def without_lever_arm(candidates: Candidates) -> Any:
+    """The true poses of the point that odometry moves, Lie `[n]`."""
+    truth = candidates.truth
+    back: Any = np.tile(np.eye(3), (candidates.graph.num_poses, 1, 1))
+    back[:, :2, 2] = -_offset(candidates)
+    return lie.compose(truth, lie.as_numpy(lie.from_matrix(back)))
+
+
+def _offset(candidates: Candidates) -> Float[np.ndarray, " 2"]:
+    """The place of the point whose true pose is known, seen from the one that odometry moves, m.
 
     With A a motion of odometry's frame and B the same motion of the truth's, a constant offset t
     has (R_A − 1) t = t_B − t_A: least squares over motions of ten steps.
@@ -135,7 +148,7 @@ def lever_arm(candidates: Candidates) -> float:
     turns = moved[:, :2, :2] - np.eye(2)
     shifts = true[:, :2, 2] - moved[:, :2, 2]
     offset, *_ = np.linalg.lstsq(turns.reshape(-1, 2), shifts.ravel(), rcond=None)
-    return float(np.linalg.norm(offset))
+    return offset
 
 
 def _label_figures(candidates: Candidates) -> dict[str, float | None]:

@@ -174,7 +174,8 @@ def _merge(commands: Any) -> None:
     merge.add_argument(
         "--calibrate",
         action="store_true",
-        help="say in the report and below the table by which factors the stated information is off",
+        help="multiply the stated information by the factors that `pcm-jax calibrate` finds, and "
+        "say which; what is written has them",
     )
     _reading(merge)
     merge.add_argument(

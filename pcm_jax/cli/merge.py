@@ -17,6 +17,11 @@ from pcm_jax.errors import InputError
 
 NEARLY_NONE = 0.1
 """Share of closures accepted, up to which it is asked what they may have meant."""
+FEWEST = 5
+"""Closures that agree, from which on other deviations are named."""
+MOST_CLOSURES, MOST_POSES = 500, 20_000
+"""Of larger merges it is not asked whether deviations are what is stated: that would take longer
+than the merge."""
 
 
 def run(options: Any) -> None:
@@ -55,24 +60,26 @@ def _merged(options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
     start = time.perf_counter()
     given = graph_to_merge(options)
     seconds = {"read": time.perf_counter() - start}
-    result, cleaned, more = _merge(given.graph, options, options.clean_maps, progress)
-    report = {**result.report(), **cleaned, "input": given.as_dict()}
-    if options.calibrate:
-        report["calibration"] = _calibration(given.graph, result, progress)
+    graph, calibrated = _calibrated(given.graph, options, progress)
+    result, cleaned, more = _merge(graph, options, options.clean_maps, progress)
+    report = {**result.report(), **cleaned, **calibrated, "input": given.as_dict()}
     report["hints"] = [
-        *_mistakes(result, progress),
-        *_hints(options, given.graph, report, progress),
+        *_mistakes(options, result, progress),
+        *_hints(options, graph, report, progress),
     ]
     return result, {**report, "seconds": {**seconds, **more, **report["seconds"]}}
 
 
-def _calibration(graph: Any, result: Any, progress: Progress) -> dict[str, Any]:
-    """The factors on stated information, by closures that agree, or those that were given."""
+def _calibrated(graph: Any, options: Any, progress: Progress) -> tuple[Any, dict[str, Any]]:
+    """The graph with information times the factors found, if asked for, and the report on them."""
+    if not options.calibrate:
+        return graph, {}
     from pcm_jax.pipeline import calibrate
 
     progress("calibrating")
-    accepted = None if result.selection is not None else result.accepted
-    return calibrate(graph, accepted).as_dict()
+    asked = {} if options.confidence is None else {"confidence": options.confidence}
+    found = calibrate(graph, seed=options.seed or 0, **asked)
+    return found.apply(graph), {"calibration": found.as_dict()}
 
 
 def _merge(
@@ -125,8 +132,8 @@ def _hints(options: Any, graph: Any, report: dict[str, Any], progress: Progress)
             )
 
 
-def _mistakes(result: Any, progress: Progress) -> Iterator[str]:
-    """The usual mistake that explains why nearly every closure is rejected."""
+def _mistakes(options: Any, result: Any, progress: Progress) -> Iterator[str]:
+    """The usual mistake that explains why nearly every closure is rejected, or the deviations."""
     from pcm_jax.integrity import triage
 
     chosen = result.selection
@@ -137,6 +144,25 @@ def _mistakes(result: Any, progress: Progress) -> Iterator[str]:
         found = triage(chosen.evidence, chosen.gate)
         if found is not None:
             yield f"nearly every closure is rejected; {found.sentence}"
+        elif not options.calibrate:
+            yield from _misstated(options, chosen.evidence, progress)
+
+
+def _misstated(options: Any, evidence: Any, progress: Progress) -> Iterator[str]:
+    """The hint that deviations are not what is stated, if closures agree under others."""
+    from pcm_jax.pipeline import calibrate
+
+    count, poses = len(evidence.graph.closures), sum(one.num_poses for one in evidence.graph.maps)
+    if count > MOST_CLOSURES or poses > MOST_POSES:
+        return
+    progress("trying other deviations")
+    found = calibrate(evidence, seed=options.seed or 0)
+    agreeing = int(found.accepted.sum())
+    if found.widened > 1.0 and agreeing >= FEWEST:
+        yield (
+            f"nearly every closure is rejected, but {agreeing} of {count} agree under other"
+            " deviations than are stated (--calibrate)"
+        )
 
 
 def _when_cleaned(options: Any, graph: Any, progress: Progress) -> float | None:

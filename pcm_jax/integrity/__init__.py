@@ -8,6 +8,7 @@ within       how often closures of which none is right agree with odometry insid
 verdict      what is believed, all pairs of robots together, and why
 team         cycles of robots: whether the alignments of a team's pairs fit together
 variance_components  the factors on stated variances, by restricted likelihood
+loop_lengths  odometry's errors by the length of loops, where no one factor holds for all
 calibration  `Calibration`: these factors, in numbers and in words
 residuals    what is left of closures in the merged maps; the edges strained most
 _loops       by how much the loops of chosen pairs of closures miss, and through whose errors

@@ -14,11 +14,15 @@ whitened, carried through the same linear map as the real ones,
     v = ε − J H⁻¹ Jᵀ ε,
 
 one back substitution each: no selected inverse, no trace, whatever the graph. Steps are
-log θ ← log θ + log(a/b) far from the end and Fisher's near it, 2 Cov(a)⁻¹ (a − b).
+log θ ← log θ + log(a/b) far from the end and Fisher's near it, 2 Cov(a)⁻¹ (a − b); half of what
+would turn back, since errors that are not normal bend a more than the model says.
 
 Closures that passed a gate γ² are a truncated sample: their b is E a given that they passed,
-F_{d+2}(γ²/φ)/F_d(γ²/φ) times as large, F_d the law of chi-squared, φ how much larger than stated
-their variance is. So a rescaled selection is not taken for a narrower law at every turn.
+κ₁ = F_{d+2}(γ²/φ)/F_d(γ²/φ) times as large, and the mean of its square κ₂ = F_{d+4}/F_d times; F_d
+the law of chi-squared. φ is how much larger than stated, to the power d the determinant, the
+covariance of a closure in the map of all others is, L⁻ᵀ C⁻¹ L⁻¹ with L Lᵀ = Ω and C that of its
+whitened residual: where the map is less certain than the closure, φ hardly grows with θ. So a
+rescaled selection is not taken for a narrower law at every turn.
 
 Intervals: of 2/ν = F⁻¹ the chi-squared with ν degrees of freedom (Satterthwaite 1946), F⁻¹ times
 as large as the closures' own contributions to a vary more than simulated ones (tails). Closures are
@@ -28,6 +32,7 @@ not resampled: copies of one share its error, which reads as less noise.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -133,8 +138,8 @@ def variance_components(
     """
     if not any(one.graph.num_edges >= one.graph.num_poses for one in parts):
         raise InputError("graph: no map has a loop, expected closures, which residuals come from")
-    log, graphs, as_stated = np.zeros(4), [one.graph for one in parts], None
-    converged = False
+    log, graphs, as_stated, volumes = np.zeros(4), [one.graph for one in parts], None, None
+    converged, last, share = False, np.zeros(4), 1.0
     for _ in range(STEPS):
         found = [
             _residuals(one, graph, log, np.random.default_rng([seed, number]))
@@ -142,9 +147,11 @@ def variance_components(
         ]
         graphs = [each.graph for each in found]
         as_stated = as_stated or _by_kind(found)
-        score = _Score.of(found, _truncation(parts, gate, log))
+        volumes = volumes or [each.log_volume for each in found]
+        score = _Score.of(found, [*map(functools.partial(_cut, gate), found, volumes)])
         move = score.step()
-        log = np.clip(log + move, -LARGEST, LARGEST)
+        share = 0.5 * share if move @ last < 0.0 else min(2.0 * share, 1.0)
+        log, last = np.clip(log + share * move, -LARGEST, LARGEST), move
         converged = bool(np.abs(move).max() < SETTLED)
         if converged:
             break
@@ -170,6 +177,8 @@ class _Found(NamedTuple):
         simulated: `[s, e, 2]`, the same of simulated errors.
         squared: `[e]`, q² of each residual by the covariance of simulated ones; NaN for edges that
             nothing checks.
+        log_volume: `[e]`, the logarithm of the determinant of its covariance in the map of all
+            others; infinite likewise.
         part: as given.
     """
 
@@ -177,6 +186,7 @@ class _Found(NamedTuple):
     real: Float[np.ndarray, "e 2"]
     simulated: Float[np.ndarray, "s e 2"]
     squared: Float[np.ndarray, " e"]
+    log_volume: Float[np.ndarray, " e"]
     part: Part
 
 
@@ -202,19 +212,28 @@ def _residuals(
     half = d - 1 if d == 3 else 3
     halves = np.stack([product[:, :half].sum(axis=1), product[:, half:].sum(axis=1)], axis=-1)
     back = graph.with_poses(solved.poses)
-    return _Found(back, halves[:, 0], halves[:, 1:].swapaxes(0, 1), _squared(whitened), part)
+    squared, log_volume = _judged(whitened)
+    log_volume -= np.linalg.slogdet(information)[1]
+    draws = halves[:, 1:].swapaxes(0, 1)
+    return _Found(back, halves[:, 0], draws, squared, log_volume, part)
 
 
-def _squared(whitened: Float[np.ndarray, "e d s"]) -> Float[np.ndarray, " e"]:
-    """q² of the first by the covariance of all others (Hotelling's, scaled to chi-squared)."""
+def _judged(
+    whitened: Float[np.ndarray, "e d s"],
+) -> tuple[Float[np.ndarray, " e"], Float[np.ndarray, " e"]]:
+    """q² of the first by the covariance C of all others, and log det C⁻¹.
+
+    Hotelling's, scaled to chi-squared.
+    """
     real, draws = whitened[:, :, 0], whitened[:, :, 1:]
     count, d = draws.shape[2], draws.shape[1]
     covariance = draws @ draws.swapaxes(1, 2) / count
     checked = np.trace(covariance, axis1=1, axis2=2) > CHECKED
-    squared = np.full(len(real), np.nan)
+    squared, log_volume = np.full(len(real), np.nan), np.full(len(real), np.inf)
     solved = np.linalg.solve(covariance[checked], real[checked][..., None])[..., 0]
     squared[checked] = np.einsum("ei,ei->e", solved, real[checked]) * (count - d - 1) / count
-    return squared
+    log_volume[checked] = -np.linalg.slogdet(covariance[checked])[1]
+    return squared, log_volume
 
 
 def _by_kind(found: list[_Found]) -> tuple[np.ndarray, np.ndarray]:
@@ -251,13 +270,43 @@ def _sparse(linear: Any, tail: np.ndarray, head: np.ndarray, poses: int) -> Any:
     return blocks[0] + blocks[1]
 
 
-def _truncation(parts: list[Part], gate: float | None, log: Float[np.ndarray, " 4"]) -> float:
-    """The part of a chi-squared that is left, in the mean, of what passes the gate."""
-    if gate is None:
-        return 1.0
-    d = parts[0].graph.tangent_dim
-    within = gate / np.exp(0.5 * (log[2] + log[3]))
-    return float(chdtr(d + 2, within) / max(chdtr(d, within), np.finfo(float).tiny))
+class _Cut(NamedTuple):
+    """Chi-squareds cut off at a gate: what is left of their means, and of their mean squares.
+
+    A radius is cut, no direction: a part of the sum of squares keeps the same shares.
+
+    Attributes:
+        mean: `[e]`, 1 for edges that passed no gate.
+        square: `[e]`, likewise.
+    """
+
+    mean: Float[np.ndarray, " e"]
+    square: Float[np.ndarray, " e"]
+
+    @classmethod
+    def at(cls, gate: Float[np.ndarray, " e"], d: int) -> _Cut:
+        """Gives what is left of chi-squareds with d degrees of freedom that are below a gate γ²."""
+        passed = np.maximum(chdtr(d, gate), np.finfo(float).tiny)
+        return cls(chdtr(d + 2, gate) / passed, chdtr(d + 4, gate) / passed)
+
+    def of(self, draws: Float[np.ndarray, "s e 2"]) -> Float[np.ndarray, "s e 2"]:
+        """Draws of sums of squares, with the means and variances that are left."""
+        mean, square = draws.mean(axis=0), (draws**2).mean(axis=0)
+        less, lesser = self.mean[:, None] * mean, self.square[:, None] * square
+        spread = np.maximum(square - mean**2, np.finfo(float).tiny)
+        ratio = np.maximum(lesser - less**2, 0.0) / spread
+        return less + np.sqrt(ratio) * (draws - mean)
+
+
+def _cut(gate: float | None, found: _Found, stated: Float[np.ndarray, " e"]) -> _Cut | None:
+    """The cut of a map's gated closures; None where a gate chose none."""
+    if gate is None or not found.part.gated.any():
+        return None
+    d = found.graph.tangent_dim
+    known = found.part.gated & np.isfinite(found.log_volume) & np.isfinite(stated)
+    within = np.full(len(stated), np.inf)
+    within[known] = gate / np.exp((found.log_volume[known] - stated[known]) / d)
+    return _Cut.at(within, d)
 
 
 class _Score(NamedTuple):
@@ -276,12 +325,11 @@ class _Score(NamedTuple):
     tails: Float[np.ndarray, " 4"]
 
     @classmethod
-    def of(cls, found: list[_Found], truncation: float) -> _Score:
+    def of(cls, found: list[_Found], cuts: list[_Cut | None]) -> _Score:
         real, simulated = np.zeros(4), np.zeros((SAMPLES, 4))
         spread = np.zeros((2, 4))
-        for each in found:
-            passed = np.where(each.part.gated, truncation, 1.0)[:, None]
-            draws = passed * each.simulated
+        for each, cut in zip(found, cuts, strict=True):
+            draws = each.simulated if cut is None else cut.of(each.simulated)
             mean = draws.mean(axis=0)
             for kind, edges in enumerate((~each.part.closing, each.part.closing)):
                 rows = slice(2 * kind, 2 * kind + 2)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pcm_jax.cli.calibrate import without_covariances
-from pcm_jax.files import read_graph
-from pcm_jax.integrity.calibration import closing_edges
+from pcm_jax.files import read_graph, write_g2o
+from pcm_jax.integrity.calibration import closing_edges, scaled_graph
 
 
 def test_factors_and_advice_are_printed(run, city, tmp_path):
@@ -45,7 +45,8 @@ def test_json(run, city):
     ran = run("calibrate", city / "graph.g2o", "--json")
     told = json.loads(ran.out)
     assert list(told) == [
-        *("odometry", "closures", "map_consistency", "closures_used", "advice", "quantiles"),
+        *("odometry", "closures", "map_consistency", "closures_used", "advice", "growth"),
+        "quantiles",
     ]
     low, high = told["closures"]["rotation"]["interval"]
     assert low < told["closures"]["rotation"]["factor"] < high
@@ -82,6 +83,32 @@ def test_nothing_to_calibrate_by(run, tmp_path):
     ran = run("calibrate", tmp_path / "chain.g2o")
     assert (ran.status, ran.err.count("\n")) == (2, 1)
     assert "no map has a loop" in ran.err
+
+
+def test_a_calibrated_merge_keeps_what_one_as_stated_cannot(run, city, tmp_path):
+    """Deviations stated ten times too small: right closures contradict each other."""
+    graph, sure = read_graph(city / "graph.g2o"), tmp_path / "sure.g2o"
+    write_g2o(sure, scaled_graph(graph, np.full(4, 100.0)))
+    output, kept = tmp_path / "merged.g2o", {}
+    hints = {}
+    for options in ((), ("--calibrate", "--output", output)):
+        ran = run("merge", sure, "--json", *options)
+        assert ran.status == 0, ran.err
+        told = json.loads(ran.out)
+        kept[options] = sum(row["accepted"] for row in told["closures"])
+        hints[options] = told["hints"]
+    stated, calibrated = kept.values()
+    assert stated < 3
+    assert any("--calibrate" in hint for hint in hints[()])
+    assert hints["--calibrate", "--output", output] == []
+    assert calibrated >= 5
+    assert 0.3 < told["solution"]["normalized_chi2"] < 3.0
+    given, written = (
+        np.asarray(read_graph(f).maps[0].information)[0, 0, 0] for f in (sure, output)
+    )
+    found = told["calibration"]["odometry"]["translation"]
+    assert written / given == pytest.approx(found["factor"], rel=1e-6)
+    assert found["interval"][0] < 0.01 < found["interval"][1]
 
 
 def test_a_merge_tells_its_calibration(run, city, tmp_path):
