@@ -84,6 +84,7 @@ def test_nothing_to_calibrate_by(run, tmp_path):
     assert "no map has a loop" in ran.err
 
 
+@pytest.mark.slow
 def test_a_merge_tells_its_calibration(run, city, tmp_path):
     report = tmp_path / "report.json"
     ran = run("merge", city / "graph.g2o", "--calibrate", "--report", report)
