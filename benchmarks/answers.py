@@ -32,13 +32,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.experiments.command import command_parser, run_tasks, write_run
+from benchmarks.experiments.command import command_parser, finish, run_tasks
 from benchmarks.experiments.record import LIBRARY
 from pcm_jax import ConvergenceWarning, InputWarning, MergeResult, MultiRobotGraph, lie, merge
 from pcm_jax.arrays import on_host
-from pcm_jax.evaluation import comparison_table
 from pcm_jax.simulation import SimulatedWorld, simulate_city, simulate_sessions
-from pcm_jax.store import Store, digest, write_json
+from pcm_jax.store import Store, digest
 
 SOURCES = (*LIBRARY, Path(__file__))
 POSES, RIGHT = 120, 8
@@ -77,12 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for group, drift in itertools.product(options.groups, options.drifts)
     }
     found = run_tasks("cells", tasks, steps, jobs=options.jobs)
-    table = comparison_table(found, COLUMNS)
-    write_json(options.out / "summary.json", found)
-    (options.out / "table.md").write_text(table + "\n")
-    write_run(options.out, options, start)
-    print(table)
-    return 0
+    return finish(options, start, found, found, COLUMNS)
 
 
 class Nees(NamedTuple):

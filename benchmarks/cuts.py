@@ -27,19 +27,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.experiments import real_candidates as real
-from benchmarks.experiments.command import command_parser, run_tasks, write_run
+from benchmarks.experiments.command import command_parser, finish, run_tasks
 from benchmarks.experiments.record import LIBRARY
 from benchmarks.place_recognition import across, load, sessions
 from benchmarks.suite.harness import DATA
 from pcm_jax import InputWarning, select, weigh
 from pcm_jax.arrays import on_host
-from pcm_jax.evaluation import comparison_table
 from pcm_jax.experiments import drives
 from pcm_jax.store import Store, digest, write_json
 
 RULES: dict[str, dict[str, Any]] = {
     "2": {"minimum_inliers": 2},
-    "chance": {"on_ambiguous": "largest"},
+    "chance": {"on_ambiguous": "largest", "prefer": "closures"},
     "default": {},
     "20 m": {"separation": 20.0},
 }
@@ -74,13 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = {
         f"{kind}, {rule}": own for kind, rules in summary.items() for rule, own in rules.items()
     }
-    table = comparison_table(rows, COLUMNS)
     write_json(options.out / "cuts.json", found)
-    write_json(options.out / "summary.json", summary)
-    (options.out / "table.md").write_text(table + "\n")
-    write_run(options.out, options, start)
-    print(table)
-    return 0
+    return finish(options, start, summary, rows, COLUMNS)
 
 
 @on_host

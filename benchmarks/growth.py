@@ -22,15 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.experiments.command import command_parser, run_tasks, write_run
+from benchmarks.experiments.command import command_parser, finish, run_tasks
 from benchmarks.experiments.record import LIBRARY
 from benchmarks.suite.harness import ROOT
 from benchmarks.suite.measure import peak_memory
 from benchmarks.suite.streaming import streamed, world
 from pcm_jax import maximum_clique
 from pcm_jax.arrays import on_host
-from pcm_jax.evaluation import comparison_table
-from pcm_jax.store import Store, digest, write_json
+from pcm_jax.store import Store, digest
 
 COUNTS = (2_000, 5_000, 10_000, 20_000, 50_000)
 SOURCES = (*LIBRARY, ROOT / "benchmarks" / "suite" / "streaming.py")
@@ -64,12 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         growth, larger = np.log(list(ratios))
         if larger > 0.0:
             after["slope"] = growth / larger
-    table = comparison_table({f"{row['closures']:,}": row for row in found}, COLUMNS)
-    write_json(options.out / "summary.json", {str(row["closures"]): row for row in found})
-    (options.out / "table.md").write_text(table + "\n")
-    write_run(options.out, options, start)
-    print(table)
-    return 0
+    summary = {str(row["closures"]): row for row in found}
+    rows = {f"{row['closures']:,}": row for row in found}
+    return finish(options, start, summary, rows, COLUMNS)
 
 
 def _apart(count: int, seed: int) -> dict[str, Any]:

@@ -29,14 +29,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.experiments.command import command_parser, run_tasks, write_run
+from benchmarks.experiments.command import command_parser, finish, run_tasks
 from benchmarks.experiments.record import LIBRARY
 from pcm_jax import MultiRobotGraph, PoseGraph, lie, select, weigh
 from pcm_jax.arrays import on_host
-from pcm_jax.evaluation import comparison_table
 from pcm_jax.integrity import Verdict
 from pcm_jax.simulation import simulate_city, simulate_sessions
-from pcm_jax.store import Store, digest, write_json
+from pcm_jax.store import Store, digest
 
 SOURCES = (*LIBRARY, Path(__file__))
 LAWS = ("uniform", "near", "identity")
@@ -90,12 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     found = run_tasks("cells", tasks, steps, jobs=options.jobs)
     rows = {f"{cell}, {rule}": own for cell, rules in found.items() for rule, own in rules.items()}
-    table = comparison_table(rows, COLUMNS)
-    write_json(options.out / "summary.json", found)
-    (options.out / "table.md").write_text(table + "\n")
-    write_run(options.out, options, start)
-    print(table)
-    return 0
+    return finish(options, start, found, rows, COLUMNS)
 
 
 class Cell(NamedTuple):
@@ -151,7 +145,7 @@ def decisions(graph: MultiRobotGraph) -> dict[str, tuple[np.ndarray, float]]:
     most = by_number.pairs[0].found
     found = {str(k): (by_number.accepted if most >= k else nothing, 0.0) for k in FIXED}
     start = time.perf_counter()
-    judged = select(evidence, on_ambiguous="largest")
+    judged = select(evidence, on_ambiguous="largest", prefer="closures")
     seconds = time.perf_counter() - start
     verdict: Verdict = judged.pairs[0].verdict
     found["chance"] = judged.accepted, seconds

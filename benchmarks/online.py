@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.experiments.command import command_parser, run_tasks, write_run
+from benchmarks.experiments.command import command_parser, finish, run_tasks
 from benchmarks.experiments.record import LIBRARY
 from benchmarks.suite.measure import peak_memory
 from pcm_jax import (
@@ -38,9 +38,8 @@ from pcm_jax import (
     select,
 )
 from pcm_jax.compiling import ALWAYS
-from pcm_jax.evaluation import comparison_table
 from pcm_jax.simulation import simulate_sessions
-from pcm_jax.store import Store, digest, write_json
+from pcm_jax.store import Store, digest
 
 COLUMNS = {
     "value": "figure",
@@ -63,12 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     tasks = {str(seed): partial(_apart, *size, seed) for seed in options.seeds}
     found = run_tasks("worlds", tasks, steps)
     rows = {f"{name}, seed {seed}": row for seed, one in found.items() for name, row in one.items()}
-    table = comparison_table(rows, COLUMNS)
-    write_json(options.out / "summary.json", found)
-    (options.out / "table.md").write_text(table + "\n")
-    write_run(options.out, options, start)
-    print(table)
-    return 0
+    return finish(options, start, found, rows, COLUMNS)
 
 
 def _apart(*task: int) -> dict[str, Any]:

@@ -6,9 +6,9 @@ is expected to take less than compiling would, and is compiled otherwise. The tw
 numbers but for rounding (1e-12 relative), so the choice is made by the input alone: neither by the
 clock nor by what the process did before, and equal inputs give equal bits, in any thread.
 
-NumPy takes 0.8 to 1.7 times as long as the compiled solver, and 3 to 8 times as long as the compiled
-distances, which are a tenth of a merge. A process that merges thousands of times gains by the
-environment variable `PCM_JAX_COMPILE=always`: nothing then runs in NumPy that can be compiled.
+NumPy takes 0.8 to 1.7 times as long as the compiled solver, and 3 to 8 times as long as the
+compiled distances, which are a tenth of a merge. A process that merges thousands of times gains by
+the environment variable `PCM_JAX_COMPILE=always`: nothing then runs in NumPy that can be compiled.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from typing import Any
 
 from benchmarks.experiments.record import Progress
 from benchmarks.suite.measure import machine
+from pcm_jax.evaluation import comparison_table
 from pcm_jax.store import Store, write_json
 
 Task = Callable[[], dict[str, Any]]
@@ -73,6 +74,29 @@ def _computed(tasks: Mapping[str, Task], jobs: int) -> Any:
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def finish(
+    options: argparse.Namespace,
+    start: float,
+    summary: Any,
+    rows: Mapping[str, Mapping[str, Any]],
+    columns: Mapping[str, str],
+) -> int:
+    """Writes summary.json, table.md and run.json, prints the table; the exit status.
+
+    Args:
+        options: of `command_parser`.
+        start: of the command, `time.perf_counter`.
+        summary: of the results.
+        rows, columns: of the table, see `comparison_table`.
+    """
+    table = comparison_table(rows, columns)
+    write_json(options.out / "summary.json", summary)
+    (options.out / "table.md").write_text(table + "\n")
+    write_run(options.out, options, start)
+    print(table)
+    return 0
 
 
 def write_run(out: Path, options: argparse.Namespace, start: float, **more: Any) -> None:

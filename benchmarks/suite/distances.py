@@ -204,7 +204,7 @@ CASES = [
     Case(
         f"distances/SE3-{MANY}",
         (
-            Metric("pair", "µs", figure=0.15),
+            Metric("pair", "µs", figure=0.05),
             Metric("compilation", "s"),
             Metric("speedup_over_jacfwd", "×", "higher", figure=50.0),
         ),
@@ -223,9 +223,9 @@ CASES = [
         Case(
             f"distances/SE3-{count}-from-marginals",
             (
-                Metric("pair", "µs", figure=0.15),
-                Metric("cores", "", "higher", figure=1.6, reason=IN_TURN),
-                Metric("pair_from_marginals", "µs", figure=0.15, reason=GATHERING),
+                Metric("pair", "µs", figure=0.05),
+                Metric("cores", "", "higher", figure=1.7, reason=IN_TURN),
+                Metric("pair_from_marginals", "µs", figure=0.3, reason=GATHERING),
                 Metric("peak_over_inputs", "×", figure=3.0, tolerance=0.2),
             ),
             functools.partial(from_marginals, count),

@@ -22,8 +22,10 @@ IMPORTS = 5
 MERGE = "import pcm_jax; pcm_jax.read_graph, pcm_jax.merge"
 FOUNDATIONS = "import jax, numpy, scipy"
 WORLDS = {"SE2": simulate_city, "SE3": functools.partial(simulate_sessions, poses=1_000)}
-FIRST = {"SE2": 8.0, "SE3": 15.0}
+FIRST = {"SE2": 1.0, "SE3": 2.0}
 """Seconds of the first merge of two maps of 1,000 poses in a process."""
+COMMANDS = {"merge": 4.0, "merge_again": 2.5, "demo": 5.0}
+"""Times `FOUNDATIONS`, whole processes: of four robots' maps with nothing cached, and again."""
 OTHER_SIZE = {"SE2": 950, "SE3": 1_100}
 """Poses a map of a second problem, which pads to the sizes of the first."""
 
@@ -58,12 +60,31 @@ def two_maps(group: str, settings: Settings) -> dict[str, Measured]:
     }
 
 
-def demo(settings: Settings) -> dict[str, Measured]:
-    """`pcm-jax demo`, as in a shell of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = functools.partial(_python, "-m", "pcm_jax", "demo", folder=folder)
-        seconds = seconds_of(run)
-    return {"fresh_process": Measured(seconds, "start of Python and all compilation included")}
+def commands(settings: Settings) -> dict[str, Measured]:
+    """`pcm-jax` as in a shell of its own, against what importing JAX takes, in turn."""
+    folder = maps.required(f"{SPOILED}/{SPOILED_SETS[0]}", settings)
+    files = [str(path) for path in sorted(folder.iterdir())]
+    cli = "-m", "pcm_jax"
+    seconds: dict[str, list[float]] = {name: [] for name in (*COMMANDS, "help", "import")}
+    for _ in range(IMPORTS):
+        with tempfile.TemporaryDirectory() as empty:
+            asked = {
+                "merge": (*cli, "merge", *files),
+                "merge_again": (*cli, "merge", *files),
+                "demo": (*cli, "demo"),
+                "help": (*cli, "--help"),
+                "import": ("-c", FOUNDATIONS),
+            }
+            for name, arguments in asked.items():
+                run = functools.partial(_python, *arguments, folder=empty, cache=empty)
+                seconds[name].append(seconds_of(run))
+    medians = {name: statistics.median(each) for name, each in seconds.items()}
+    base = medians["import"]
+    found = {"help": Measured(medians["help"], "without JAX")}
+    for name in COMMANDS:
+        note = f"{in_words(medians[name])} against {in_words(base)}, {IMPORTS} rounds"
+        found[f"{name}_over_import"] = Measured(medians[name] / base, note)
+    return found
 
 
 def imports(settings: Settings) -> dict[str, Measured]:
@@ -86,9 +107,17 @@ def _seconds(code: str, *, after: str = "pass") -> float:
     return float(_python("-c", program))
 
 
-def _python(*arguments: str, folder: str | None = None) -> str:
-    """Runs a fresh Python with the user's own environment, not the benchmarks': what it prints."""
+def _python(*arguments: str, folder: str | None = None, cache: str | None = None) -> str:
+    """Runs a fresh Python with the user's own environment, not the benchmarks': what it prints.
+
+    Args:
+        arguments: of the interpreter.
+        folder: where it runs.
+        cache: folder of compiled programs.
+    """
     environment = {key: value for key, value in os.environ.items() if key not in ENVIRONMENT}
+    if cache is not None:
+        environment["PCM_JAX_CACHE"] = cache
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=folder,
@@ -118,7 +147,14 @@ CASES = [
         )
         for group in WORLDS
     ),
-    Case("end_to_end/demo", (Metric("fresh_process", "s", figure=40.0),), demo),
+    Case(
+        "end_to_end/commands",
+        (
+            *(Metric(f"{name}_over_import", "×", figure=most) for name, most in COMMANDS.items()),
+            Metric("help", "s", figure=0.4),
+        ),
+        commands,
+    ),
     Case(
         "end_to_end/import",
         (

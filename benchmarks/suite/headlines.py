@@ -35,9 +35,11 @@ ROWS = {
     "… 500 in 10,000": "cliques/planted-10000/planted-500",
     "10,000 cliques in one program, over one by one": "cliques/batched/*",
     "Gauss–Newton over GTSAM's, the slowest of eight graphs": "optimization/*/blocks_over_gtsam",
+    "… geometric mean": "optimization/all-graphs/blocks_over_gtsam",
     "… by CHOLMOD, geometric mean": "optimization/all-graphs/cholmod_over_gtsam",
     "… peak memory of the solve over GTSAM's, the largest": "memory/*_solving",
     "… of the whole process": "memory/*_process",
+    "first `optimize` in a process, compilation included, the slowest": "optimization/*/first_call",
     "symbolic plan of City10000": "optimization/plan-city10000/first_call",
     "… of torus3D": "optimization/plan-torus3D/first_call",
     "City10000 in one go over GTSAM's LAGO + Gauss–Newton": (
@@ -52,6 +54,12 @@ ROWS = {
     "… and all that a merge needs, over `import jax, numpy, scipy`": (
         "end_to_end/import/merge_over_foundations"
     ),
+    "`pcm-jax merge` of four robots, nothing cached, over that import": (
+        "end_to_end/commands/merge_over_import"
+    ),
+    "… the second time": "end_to_end/commands/merge_again_over_import",
+    "`pcm-jax demo`, with its picture": "end_to_end/commands/demo_over_import",
+    "`pcm-jax --help`": "end_to_end/commands/help",
     "first merge in a process, two maps of 1,000 in the plane": "end_to_end/merge-SE2/first",
     "… in space": "end_to_end/merge-SE3/first",
     "… compilation for another size": "end_to_end/merge-*/other_size_compiles",

@@ -22,7 +22,7 @@ from benchmarks.suite.measure import in_words, seconds_of
 from pcm_jax import InputError, MultiRobotGraph, merge, optimize, split
 from pcm_jax.sparse import assembly
 
-SECONDS = {"blocks": 0.25, "cholmod": 0.1}
+SECONDS = {"blocks": 0.1, "cholmod": 0.1}
 """Of each merge on 10,000 poses, by engine."""
 VERSIONS, TRUE, FEWER = 20, 15, 10
 REASON = (

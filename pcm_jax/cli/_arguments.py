@@ -147,6 +147,12 @@ def _merge(commands: Any) -> None:
         "take the larger set (default: split)",
     )
     merge.add_argument(
+        "--prefer",
+        choices=("places", "closures"),
+        help="of two such sets the larger one is that at more places, of as many that of more "
+        "closures; or that of more closures, wherever they lie (default: places)",
+    )
+    merge.add_argument(
         "--refine",
         choices=("recall", "gnc"),
         help="recall: closures that were left out, but agree with the merged map, come back; gnc: "

@@ -95,6 +95,7 @@ def _merge(
         significance=options.significance,
         separation=options.separation,
         on_ambiguous=options.on_ambiguous,
+        prefer=options.prefer,
         seed=options.seed,
         time_limit=options.time_limit,
         refine=options.refine,

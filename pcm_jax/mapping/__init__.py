@@ -5,7 +5,7 @@ Data walks through this folder once:
     initialization      poses to start from (chordal relaxation, spanning tree)
     _linearization      residuals of the edges and their Jacobians, in closed form
     _host_step          the linear system of a step, assembled, factorised and solved on the host
-    _stepwise           Gauss-Newton in NumPy, for problems that are not worth a compilation
+    _stepwise           both solvers in NumPy, for problems that are not worth a compilation
     _callbacks          host code called from a compiled program, on any device
     _normal_equations   the system of a step as lineax operator and solvers, for the compiled loop
     _gauss_newton       the optimistix solver that steps on the manifold

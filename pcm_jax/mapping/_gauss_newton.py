@@ -30,7 +30,7 @@ from pcm_jax.mapping._normal_equations import (
     Cholmod,
     DampedJacobian,
 )
-from pcm_jax.mapping._stepwise import at_rest
+from pcm_jax.mapping._stepwise import FIRST_DAMPING, GROWING, HIGH_CUTOFF, at_rest
 
 
 class Problem(eqx.Module):
@@ -66,7 +66,7 @@ class RelativelyDampedDescent(optx.AbstractDescent):
     """
 
     linear_solver: lx.AbstractLinearSolver
-    first_damping: float = 1e-5
+    first_damping: float = FIRST_DAMPING
 
     def init(self, y: Any, f_info_struct: Any) -> Any:
         """A linearisation of zeros."""
@@ -262,7 +262,7 @@ def least_squares(
         "gauss-newton": lambda: (optx.NewtonDescent(linear_solver=linear), optx.LearningRate(1.0)),
         "levenberg-marquardt": lambda: (
             RelativelyDampedDescent(linear),
-            optx.ClassicalTrustRegion(high_cutoff=0.75, high_constant=10.0),
+            optx.ClassicalTrustRegion(high_cutoff=HIGH_CUTOFF, high_constant=GROWING),
         ),
     }[solver]()
     return optx.least_squares(

@@ -46,10 +46,10 @@ class Edges:
     measurement: lie.Transform  # type: ignore[valid-type]
     whitening: Float[Array, "d d e"]
 
-    def cut(self, count: int) -> Edges:
-        """The first edges, without padding."""
-        measurement = lie.take(self.measurement, slice(0, count))
-        return Edges(self.tail[:count], self.head[:count], measurement, self.whitening[..., :count])
+    def part(self, some: slice) -> Edges:
+        """Some of the edges."""
+        measurement = lie.take(self.measurement, some)
+        return Edges(self.tail[some], self.head[some], measurement, self.whitening[..., some])
 
 
 class EdgeJacobians(NamedTuple):
@@ -108,6 +108,19 @@ def _relative(poses: Any, edges: Edges) -> tuple[Any, Any]:
 def multiply(a: Float[Array, "i j e"], b: Float[Array, "j k e"]) -> Float[Array, "i k e"]:
     """A B for every edge, as elementwise arithmetic along the edges."""
     return sum(a[:, j, None] * b[None, j] for j in range(len(b)))  # type: ignore[return-value]
+
+
+def differential(
+    by_tail: Float[Array, "d d e"],
+    by_head: Float[Array, "d d e"],
+    tail: Int[Array, " e"],
+    head: Int[Array, " e"],
+    step: Float[Array, "d n"],
+) -> Float[Array, "d e"]:
+    """J δ, from the blocks of J and right perturbations of the poses."""
+    einsum = namespace(by_tail).einsum
+    along = einsum("ijk,jk->ik", by_tail, step[:, tail])
+    return along + einsum("ijk,jk->ik", by_head, step[:, head])
 
 
 def whitened_residual(poses: Any, edges: Edges) -> Float[Array, "d e"]:

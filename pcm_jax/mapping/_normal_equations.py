@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from pcm_jax.mapping._callbacks import call_host
 from pcm_jax.mapping._host_step import solve_on_host
-from pcm_jax.mapping._linearization import EdgeProducts, apart, edge_products
+from pcm_jax.mapping._linearization import EdgeProducts, apart, differential, edge_products
 
 
 class BlockJacobian(lx.AbstractLinearOperator):
@@ -44,9 +44,7 @@ class BlockJacobian(lx.AbstractLinearOperator):
     def mv(self, vector: Float[Array, "n d"]) -> Float[Array, "d e"]:
         """J δ."""
         step = jnp.where(self.free[:, None], vector, 0.0).T
-        return jnp.einsum("ijk,jk->ik", self.by_tail, step[:, self.tail]) + jnp.einsum(
-            "ijk,jk->ik", self.by_head, step[:, self.head]
-        )
+        return differential(self.by_tail, self.by_head, self.tail, self.head, step)
 
     def as_matrix(self) -> Float[Array, "a b"]:
         """Dense J, for small problems."""

@@ -1,4 +1,4 @@
-"""Gauss-Newton step by step in NumPy: the law of `ManifoldGaussNewton` where nothing is compiled.
+"""Least squares step by step in NumPy: the law of `ManifoldGaussNewton` where nothing is compiled.
 
 The same linearisation, the same normal equations and factorisation, the same tests of when to stop
 (`_gauss_newton`), driven by a loop of Python: for small problems, and for those that are solved
@@ -14,8 +14,21 @@ from jaxtyping import Bool, Float
 
 from pcm_jax import lie
 from pcm_jax.mapping._host_step import solve_on_host
-from pcm_jax.mapping._linearization import Edges, edge_products, linearize, retract
+from pcm_jax.mapping._linearization import (
+    Edges,
+    differential,
+    edge_products,
+    linearize,
+    retract,
+)
 
+FIRST_DAMPING = 1e-5
+"""λ of Levenberg-Marquardt at step size 1, where the trust region starts."""
+LOW_CUTOFF, HIGH_CUTOFF = 0.01, 0.75
+"""Of the predicted fall of the cost: with less a step is refused, with more it may grow."""
+SHRINKING, GROWING = 0.25, 10.0
+SLICE = 4096
+"""Edges that are linearised at once: what is formed on the way takes memory for so many."""
 ROUNDING = 16
 """Units in the last place of the farthest coordinate: a step's product of several roundings."""
 
@@ -30,43 +43,95 @@ class Found(NamedTuple):
     converged: bool
 
 
-def gauss_newton(
+class _Judged(NamedTuple):
+    """A candidate, and what the next step needs of it.
+
+    Attributes:
+        poses: Lie `[n]`.
+        cost: half the sum of squares.
+        products, gradients: see `EdgeProducts`.
+        slopes: of each slice of edges its residuals and Jacobians; none without damping.
+    """
+
+    poses: Any
+    cost: float
+    products: Float[np.ndarray, "3 e d d"]
+    gradients: Float[np.ndarray, "2 e d"]
+    slopes: list[tuple[Edges, Any]]
+
+    @classmethod
+    def at(cls, poses: Any, edges: Edges, damped: bool) -> _Judged:
+        d, count = edges.whitening.shape[1:]
+        products, gradients = np.empty((3, count, d, d)), np.empty((2, count, d))
+        cost, slopes = 0.0, []
+        with np.errstate(over="ignore", invalid="ignore"):  # a poor step's: its cost says so
+            for start in range(0, count, SLICE):
+                part = slice(start, start + SLICE)
+                some = edges.part(part)
+                linear: Any = linearize(poses, some)
+                cost += 0.5 * float(np.sum(np.square(linear.residual)))
+                found = edge_products(linear.tail, linear.head, linear.residual)
+                products[:, part], gradients[:, part] = found
+                slopes += [(some, linear)] * damped
+        return cls(poses, cost, products, gradients, slopes)
+
+    def predicted(self, delta: Any) -> float:
+        """The change of the cost by a step, if the residuals were linear."""
+        after = 0.0
+        for some, (residual, by_tail, by_head) in self.slopes:
+            moved = differential(by_tail, by_head, some.tail, some.head, delta.T)
+            after += float(np.sum(np.square(residual + moved)))
+        return 0.5 * after - self.cost
+
+
+def minimize(
     poses: Any,
     edges: Edges,
     free: Bool[np.ndarray, " n"],
     *,
+    damped: bool,
     rtol: float,
     atol: float,
     max_steps: int,
 ) -> Found:
-    """Minimises half the sum of squares of the whitened residuals; full steps, all accepted.
+    """Minimises half the sum of squares of the whitened residuals.
 
     Args:
         poses: Lie `[n]`, NumPy.
         edges: no padding.
         free: poses that may move.
+        damped: Levenberg-Marquardt, by the trust region of `optimistix.ClassicalTrustRegion`;
+            else Gauss-Newton: full steps, all accepted.
         rtol, atol: see `ManifoldGaussNewton`.
         max_steps: evaluations after which to give up.
     """
-    candidate = poses
-    delta: Any = np.zeros((len(free), lie.tangent_dim(poses)))
-    before = initial = np.nan
-    for step in range(max_steps):
-        linear: Any = linearize(candidate, edges)
-        residual, by_tail, by_head = linear
-        cost = 0.5 * float(np.sum(residual * residual))
-        if step == 0:
-            initial = cost
-        if not np.isfinite(cost):
-            return Found(candidate, initial, cost, step, False)
-        unchanged = abs(before - cost) <= rtol * before
-        if step and (unchanged or at_rest(delta, poses, atol)):
-            return Found(candidate, initial, cost, step, True)
-        poses, before = candidate, cost
-        if step + 1 < max_steps:
-            delta = -_step(edges, free, by_tail, by_head, residual)
-            candidate = retract(poses, delta)
-    return Found(poses, initial, cost, max_steps - 1, False)
+    best = _Judged.at(poses, edges, damped)
+    initial, step_size, accepted = best.cost, 1.0, 0
+    for _ in range(max_steps - 1):
+        if not np.isfinite(best.cost):
+            break
+        damping = FIRST_DAMPING / step_size if damped else 0.0
+        delta: Any = -_step(edges, free, best, damping)
+        found, before = _Judged.at(retract(best.poses, delta), edges, damped), best
+        accept, growth = True, 1.0
+        if damped:
+            accept, growth = _judge(found.cost - before.cost, before.predicted(delta))
+        step_size *= growth
+        settled = at_rest(delta, before.poses, atol)
+        if accept:
+            best, accepted = found, accepted + 1
+            settled |= abs(before.cost - best.cost) <= rtol * before.cost
+        if settled:
+            return Found(best.poses, initial, best.cost, accepted, bool(np.isfinite(best.cost)))
+    return Found(best.poses, initial, best.cost, accepted, False)
+
+
+def _judge(change: float, predicted: float) -> tuple[bool, float]:
+    """The verdict on a step, and the next step size over this one."""
+    if not change <= LOW_CUTOFF * predicted:
+        return False, SHRINKING
+    good = predicted < 0.0 and change < HIGH_CUTOFF * predicted
+    return True, GROWING if good else 1.0
 
 
 def at_rest(delta: Float[Any, "n d"], poses: Any, atol: float) -> Any:
@@ -82,12 +147,12 @@ def at_rest(delta: Float[Any, "n d"], poses: Any, atol: float) -> Any:
 
 
 def _step(
-    edges: Edges, free: np.ndarray, by_tail: Any, by_head: Any, residual: Any
+    edges: Edges, free: np.ndarray, here: _Judged, damping: float
 ) -> Float[np.ndarray, "n d"]:
-    """(JᵀJ)⁻¹ Jᵀ r; NaN if there is no factor."""
-    step = np.empty((len(free), len(residual)))
-    counts: Any = np.array([len(free), residual.shape[1]])
+    """(JᵀJ + λ diag(JᵀJ))⁻¹ Jᵀ r; NaN if there is no factor."""
+    step = np.empty((len(free), here.gradients.shape[-1]))
+    counts: Any = np.array([len(free), len(edges.tail)])
     pattern: Any = edges.tail, edges.head, free, counts
-    numbers: Any = edge_products(by_tail, by_head, residual)
-    solve_on_host(step, *pattern, np.zeros(()), *numbers, np.zeros_like(step))
+    numbers: Any = here.products, here.gradients
+    solve_on_host(step, *pattern, np.asarray(damping), *numbers, np.zeros_like(step))
     return step

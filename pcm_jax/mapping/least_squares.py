@@ -19,8 +19,8 @@ from pcm_jax.arrays import bucket, on_host
 from pcm_jax.compiling import is_worth_compiling
 from pcm_jax.errors import InputError, check_choice
 from pcm_jax.graph.priors import Priors
-from pcm_jax.mapping._linearization import Edges, whitening_of
-from pcm_jax.mapping._stepwise import gauss_newton
+from pcm_jax.mapping._linearization import Edges, whitened_residual, whitening_of
+from pcm_jax.mapping._stepwise import minimize
 from pcm_jax.sparse import registry
 
 SOLVERS = ("gauss-newton", "levenberg-marquardt")
@@ -176,12 +176,13 @@ class PoseProblem:
             InputError: an unknown name, or an engine that is not installed.
         """
         check_names(solver, engine)
-        if (solver, engine) == (SOLVERS[0], ENGINES[0]) and not self._is_compiled():
+        if engine == ENGINES[0] and not self._is_compiled():
             limits = {"rtol": rtol, "atol": atol, "max_steps": max_steps}
-            found = gauss_newton(
+            found = minimize(
                 with_frame(poses, self._poses),
-                self._scaled(scale).cut(self._edges),
+                self._scaled(scale).part(slice(self._edges)),
                 self._free[: self._poses],
+                damped=solver == SOLVERS[1],
                 **limits,
             )
             registry.spare.free()
@@ -205,6 +206,18 @@ class PoseProblem:
             int(steps),
             bool(converged),
         )
+
+    @on_host
+    def cost(self, poses: Any) -> float:
+        """0.5 Σ rᵀΩr at the given poses.
+
+        Args:
+            poses: Lie `[n]`.
+        """
+        residual = whitened_residual(
+            with_frame(poses, self._poses), self._padded.part(slice(self._edges))
+        )
+        return 0.5 * float(np.sum(np.square(residual)))
 
     def _is_compiled(self) -> bool:
         return is_worth_compiling(self._edges * SECONDS_AN_EDGE[len(self._padded.whitening)])

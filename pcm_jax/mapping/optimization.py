@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import warnings
 from typing import Any
 
@@ -22,6 +23,10 @@ from pcm_jax.mapping.priors import held, placed, position_only, priors_of, turne
 INITIAL = ("chordal", "spanning-tree", "given")
 TURNS = 4  # solves, at most, between which positions' priors are turned to the poses
 TURNED = 1e-4  # radians
+UNLIKELY = 1e-6
+"""Probability of a cost as large, below which an optimum is doubted."""
+LOWER = 1e-6
+"""Share by which other poses cost less, if they do."""
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -34,6 +39,7 @@ class Solution:
         initial_cost: the same at the start.
         iterations: steps taken.
         converged: whether a tolerance was met; False also where the steps diverged.
+        start: where the steps began, see `optimize`'s `initial`.
     """
 
     graph: PoseGraph
@@ -41,6 +47,7 @@ class Solution:
     initial_cost: float
     iterations: int
     converged: bool
+    start: str = INITIAL[0]
 
     @functools.cached_property
     def certificate(self) -> Certificate:
@@ -55,10 +62,11 @@ class Solution:
 
     def __repr__(self) -> str:
         how = "converged" if self.converged else "did not converge"
+        begun = "" if self.start == INITIAL[0] else f", from {self.start} poses"
         return (
             f"Solution of {self.graph!r}\n"
             f"  cost {self.cost:.6g}, from {self.initial_cost:.6g}\n"
-            f"  {how} after {self.iterations} steps"
+            f"  {how} after {self.iterations} steps{begun}"
         )
 
 
@@ -80,7 +88,10 @@ def optimize(
     Args:
         pose_graph: a connected map.
         initial: where to start: "chordal" (relaxed rotations), "spanning-tree" (measurements
-            along shortest paths) or "given" (the graph's own poses).
+            along shortest paths) or "given" (the graph's own poses). Where the first ends in what
+            can hardly be the optimum, the others are tried too, and the best is kept: if it did not
+            converge, if the given poses cost less, or if as large a cost has a probability below
+            1e-6. Other local optima it does not see: `Solution.certificate` does.
         solver: "gauss-newton" (the default), or "levenberg-marquardt" where the start is poor.
         engine: "blocks" (NumPy and LAPACK), or "cholmod" (the `cholmod` extra).
         max_steps: evaluations of the cost after which to give up.
@@ -102,13 +113,48 @@ def optimize(
     check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
     solver = _solver(solver, method)
     check_names(solver, engine)
+    options: dict[str, Any] = {"solver": solver, "engine": engine, "max_steps": max_steps}
+    found = optimize_from(initial, pose_graph, **options)
+    if initial == INITIAL[0] and _is_suspicious(pose_graph, found):
+        others = (optimize_from(start, pose_graph, **options) for start in INITIAL[1:])
+        found = min([found, *others], key=lambda one: (not one.converged, _or_infinite(one.cost)))
+    return found
+
+
+def optimize_from(initial: str, pose_graph: PoseGraph, **options: Any) -> Solution:
+    """Does the work of `optimize` from one start alone.
+
+    Args:
+        initial: as there.
+        pose_graph: as there.
+        **options: of `PoseProblem.solve`.
+    """
     start = _initial_poses(pose_graph, host_arrays(pose_graph), initial)
-    options = {"solver": solver, "engine": engine, "max_steps": max_steps}
     if priors_of(pose_graph) is not None:
-        return _among_priors(pose_graph, start, initial == "given", options)
-    if pose_graph.num_edges == 0:
-        return Solution(pose_graph, 0.0, 0.0, 0, True)
-    return _solution(pose_graph, problem_of(pose_graph).solve(start, **options))
+        found = _among_priors(pose_graph, start, initial == "given", options)
+    elif pose_graph.num_edges == 0:
+        found = Solution(pose_graph, 0.0, 0.0, 0, True)
+    else:
+        found = _solution(pose_graph, problem_of(pose_graph).solve(start, **options))
+    return dataclasses.replace(found, start=initial)
+
+
+def _is_suspicious(pose_graph: PoseGraph, found: Solution) -> bool:
+    """True where a solution can hardly be the optimum; of priors nothing is known but the steps."""
+    from scipy.special import chdtrc
+
+    if not found.converged:
+        return True
+    freedom = pose_graph.tangent_dim * (pose_graph.num_edges - pose_graph.num_poses + 1)
+    if freedom <= 0 or priors_of(pose_graph) is not None:
+        return False
+    if chdtrc(freedom, 2.0 * found.cost) < UNLIKELY:
+        return True
+    return problem_of(pose_graph).cost(pose_graph.poses) < found.cost * (1.0 - LOWER)
+
+
+def _or_infinite(cost: float) -> float:
+    return cost if math.isfinite(cost) else math.inf
 
 
 def problem_of(pose_graph: PoseGraph) -> PoseProblem:

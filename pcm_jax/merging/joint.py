@@ -23,7 +23,7 @@ from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph, Priors
 from pcm_jax.graph.unsaid import held
 from pcm_jax.mapping import Solution, optimize
-from pcm_jax.mapping.optimization import problem_of
+from pcm_jax.mapping.optimization import optimize_from, problem_of
 
 PATIENCE = 15
 """Evaluations of each attempt by Gauss-Newton: consistent closures need fewer than ten."""
@@ -116,7 +116,7 @@ def solve_joint(
     options = {"solver": method, "engine": engine, "max_steps": PATIENCE}
     attempts = [_solve_in(roomy, kept, joint, options)]
     if not attempts[-1].converged:
-        attempts.append(optimize(joint, initial="chordal", **options))
+        attempts.append(optimize_from("chordal", joint, **options))
     if attempts[-1].converged:
         return attempts[-1]
     solution = rebuild(joint, int(used.sum()), engine=engine)
@@ -139,7 +139,8 @@ def _solve_in(
         return optimize(joint, initial="given", **options)
     solved = problem_of(roomy).solve(roomy.poses, scale=kept.astype(float), **options)
     graph = joint.with_poses(solved.poses)
-    return Solution(graph, solved.cost, solved.initial_cost, solved.iterations, solved.converged)
+    numbers = solved.cost, solved.initial_cost, solved.iterations, solved.converged
+    return Solution(graph, *numbers, start="given")
 
 
 def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solution:

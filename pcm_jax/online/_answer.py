@@ -17,7 +17,7 @@ from pcm_jax.selection.weights import check_weights
 
 EXACT = "pcm-exact"
 OF_ALL = ("method", "confidence", "minimum_inliers", "separation", "progress")
-OF_CHANCE = ("significance", "on_ambiguous", "seed")
+OF_CHANCE = ("significance", "on_ambiguous", "prefer", "seed")
 
 
 def answer(

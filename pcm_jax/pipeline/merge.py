@@ -43,6 +43,7 @@ def merge(
     significance: float | None = None,
     separation: float | None = None,
     on_ambiguous: str | None = None,
+    prefer: str | None = None,
     seed: int | None = None,
     time_limit: float | None = None,
     room_for: Any = None,
@@ -91,6 +92,7 @@ def merge(
         separation: metres along the way of either robot between closures that are two witnesses.
         on_ambiguous: with "chance": "split", the default: two robots are not merged where another
             alignment is supported about as well; "largest": they are, by the larger set.
+        prefer: with "largest", what counts first, "places" or "closures", see `select`.
         seed: of the shuffles that "chance" makes; 0 by default.
         time_limit: seconds for each robot pair's clique.
         room_for: bool `[m]` or indices: closures for which the merged map's symbolic plan has room
@@ -132,6 +134,7 @@ def merge(
         "significance": significance,
         "separation": separation,
         "on_ambiguous": on_ambiguous,
+        "prefer": prefer,
         "seed": seed,
         "time_limit": time_limit,
     }

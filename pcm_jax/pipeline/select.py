@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from pcm_jax.arrays import on_host
-from pcm_jax.consistency import Evidence, chi2_gate
+from pcm_jax.consistency import Evidence, PairEvidence, chi2_gate
 from pcm_jax.errors import InputError, check_number
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.integrity import AS_ASKED, Doubts, judge_by_chance, judge_by_number, judge_team
+from pcm_jax.integrity import (
+    AS_ASKED,
+    Doubts,
+    Verdict,
+    judge_by_chance,
+    judge_by_number,
+    judge_team,
+)
 from pcm_jax.pipeline.stages import Progress, StopWatch, silent
 from pcm_jax.pipeline.weigh import MEMORY_LIMIT, checked_limit, weigh
 from pcm_jax.selection import Choice, PairSelection, Selection, choose
@@ -20,6 +28,7 @@ from pcm_jax.selection.weights import check_weights, weights_for
 
 CHANCE = "chance"
 ON_AMBIGUOUS = ("split", "largest")
+PREFER = ("places", "closures")
 OF_WEIGHING = ("metric", "optimized", "memory_limit")
 """Options of `weigh`, which evidence has behind it."""
 
@@ -34,6 +43,7 @@ def select(
     significance: float | None = None,
     separation: float | None = None,
     on_ambiguous: str | None = None,
+    prefer: str | None = None,
     seed: int | None = None,
     time_limit: float | None = None,
     progress: Progress | None = None,
@@ -68,6 +78,9 @@ def select(
         on_ambiguous: with "chance": "split", the default: a pair of robots accepts nothing where
             another alignment is supported about as well, see `integrity.rivals`; "largest": it
             accepts the larger set, whose verdict says so.
+        prefer: of two such sets with "largest": "places", the default: the one at more places, and
+            of as many the one of more closures; "closures": the one of more closures (the paper's
+            rule, and the only one for a number of closures).
         seed: of the shuffles that "chance" makes, 0 by default; the same seed gives the same
             answer.
         time_limit: seconds for each pair's clique; needs a method that has the option.
@@ -94,7 +107,12 @@ def select(
     check_method(method, options)
     if "weights" in options:
         raise InputError("weights: not an option of select, expected them in the closures' weight")
-    of_chance = {"significance": significance, "on_ambiguous": on_ambiguous, "seed": seed}
+    of_chance = {
+        "significance": significance,
+        "on_ambiguous": on_ambiguous,
+        "prefer": prefer,
+        "seed": seed,
+    }
     asked = {name: value for name, value in of_chance.items() if value is not None}
     check_minimum(minimum_inliers, asked)
     check_graph(graph)
@@ -135,6 +153,7 @@ def decide(
     *,
     separation: float | None = None,
     doubts: Doubts = AS_ASKED,
+    prefer: str = PREFER[0],
     **of_chance: Any,
 ) -> Selection:
     """Judges what a method chose, all pairs of robots together: the last step of `select`.
@@ -148,6 +167,7 @@ def decide(
         tell: of progress.
         separation: as for `select`.
         doubts: where chance levels and rivals come from.
+        prefer: as for `select`.
         **of_chance: `significance`, `on_ambiguous` and `seed`, where given.
     """
     gate = names[2]
@@ -157,6 +177,10 @@ def decide(
         if minimum_inliers == CHANCE:
             by: dict[str, Any] = {"separation": separation, "doubts": doubts, **of_chance}
             verdicts = judge_by_chance(found, gate, **by)
+            if prefer == PREFER[0] and any(map(_has_better_rival, verdicts)):
+                choices = [*map(_by_places, evidence.pairs, choices, verdicts)]
+                found = [*zip(evidence.pairs, (choice.members for choice in choices), strict=True)]
+                verdicts = judge_by_chance(found, gate, **by)
             verdicts, team = judge_team(found, verdicts)
         else:
             minimum, team = int(minimum_inliers), ()
@@ -168,6 +192,23 @@ def decide(
         accepted[pair.closures] = pairs[-1].accepted
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
     return Selection(accepted, tuple(pairs), *names, evidence, seconds, team)
+
+
+def _has_better_rival(verdict: Verdict) -> bool:
+    """True where a set is believed beside one as good that is at more places."""
+    rival = verdict.rival if verdict.believed and verdict.ambiguous else None
+    return rival is not None and rival.places > verdict.places
+
+
+def _by_places(evidence: PairEvidence, choice: Choice, verdict: Verdict) -> Choice:
+    """The rival in a set's place where it is at more places; nothing proves it the largest."""
+    if verdict.rival is None or not _has_better_rival(verdict):
+        return choice
+    members: Any = verdict.rival.members
+    optimal = None if choice.optimal is None else False
+    weights: Any = None if evidence.measured is None else evidence.measured.weight
+    weight = None if choice.weight is None else float(weights[members].sum())
+    return dataclasses.replace(choice, members=members, optimal=optimal, weight=weight)
 
 
 def check_minimum(minimum: Any, of_chance: dict[str, Any]) -> None:
@@ -187,14 +228,22 @@ def check_minimum(minimum: Any, of_chance: dict[str, Any]) -> None:
             raise InputError(
                 f"on_ambiguous: {on_ambiguous!r}, expected one of {', '.join(ON_AMBIGUOUS)}"
             )
+        _check_preference(of_chance.get("prefer", PREFER[0]), PREFER)
         return
     check_number("minimum_inliers", minimum)
     if minimum < 0:
         raise InputError(f"minimum_inliers: {minimum}, expected at least 0")
+    _check_preference(of_chance.pop("prefer", PREFER[1]), PREFER[1:])
     for name, value in of_chance.items():
         raise InputError(
             f"{name}: {value} given with minimum_inliers {minimum}, expected {CHANCE!r} for that"
         )
+
+
+def _check_preference(prefer: Any, known: Sequence[str]) -> None:
+    if not isinstance(prefer, str) or prefer not in known:
+        of = "" if len(known) > 1 else f" with a number of closures, or minimum_inliers {CHANCE!r}"
+        raise InputError(f"prefer: {prefer!r}, expected {' or '.join(map(repr, known))}{of}")
 
 
 def check_graph(graph: Any) -> None:

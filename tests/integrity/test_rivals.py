@@ -115,6 +115,25 @@ def test_a_corridor_taken_for_another():
     assert not pair.verdict.ambiguous  # nothing beyond chance speaks against it
 
 
+def test_the_larger_of_two_is_that_at_more_places_unless_closures_are_preferred():
+    """Twenty wrong closures in one corridor; twelve right ones, half of them elsewhere."""
+    world = simulate_city(seed=3, poses=300, inliers=6, aliased_groups=0, random=40)
+    graph, is_true = with_runs(world, right=6, wrong=20)
+    asked = {"on_ambiguous": "largest", "separation": 5.0}
+    (by_closures,) = select(graph, prefer="closures", **asked).pairs
+    assert by_closures.accepted.sum() >= 20 and by_closures.optimal
+    assert not is_true[by_closures.accepted].any()
+    assert by_closures.verdict.ambiguous
+    (pair,) = select(graph, **asked).pairs
+    assert pair.accepted.sum() >= 11 and is_true[pair.accepted].all()
+    assert pair.verdict.places > by_closures.verdict.places
+    assert pair.verdict.ambiguous and pair.verdict.rival.size >= 20  # which is said
+    assert pair.optimal is False and pair.upper_bound >= 20
+    paper = select(graph, minimum_inliers=2, prefer="closures")
+    np.testing.assert_array_equal(paper.accepted, by_closures.accepted)
+    assert not select(graph, prefer="places").accepted.any()  # neither, by default
+
+
 def test_nothing_else_agrees():
     pair, _ = evidence_of("SE2", 1, 3, 0)
     assert strongest_rival(pair, GATE, places_of(pair, 0.0), np.ones(3, bool)) is None

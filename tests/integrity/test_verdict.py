@@ -94,6 +94,8 @@ def test_every_pair_of_a_team_counts():
         ({"minimum_inliers": 3, "significance": 0.1}, "significance: 0.1 given with"),
         ({"minimum_inliers": 3, "seed": 1}, "seed: 1 given with minimum_inliers 3"),
         ({"minimum_inliers": 3, "on_ambiguous": "split"}, "on_ambiguous: split given with"),
+        ({"prefer": "robots"}, "prefer: 'robots', expected 'places' or 'closures'"),
+        ({"minimum_inliers": 3, "prefer": "places"}, "prefer: 'places', expected 'closures' with"),
         ({"significance": 0.0}, "significance: 0.0, expected"),
         ({"separation": -1.0}, "separation: -1.0, expected metres"),
     ],

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
+import jaxlie
 import lineax as lx
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from pcm_jax.mapping._normal_equations import (
     DampedJacobian,
 )
 from pcm_jax.mapping.least_squares import PoseProblem, padded_edges
-from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.mapping.optimization import host_arrays, optimize_from
 from pcm_jax.sparse import registry
 from pcm_jax.sparse.system import System
 
@@ -363,3 +364,57 @@ def test_costs_of_public_graphs(shared_data, name):
     solution = optimize(graph)
     assert solution.converged
     np.testing.assert_allclose(solution.cost, REAL[name], rtol=1e-6)
+
+
+def turning_walk(group, seed, sigma_rotation):
+    """Sixty poses of a walk that turns at random, and 25 loops; rotations are poor."""
+    generator, d = np.random.default_rng(seed), group.tangent_dim
+    space = 2 if d == 3 else 3
+    steps = np.zeros((59, d))
+    steps[:, 0] = 1.0
+    steps[:, space:] = 0.5 * generator.normal(size=(59, d - space))
+    poses = [lie.as_numpy(group.identity())]
+    for step in lie.as_numpy(group.exp(steps)).parameters():
+        poses.append(lie.compose(poses[-1], type(poses[0])(step)))
+    truth = type(poses[0])(np.stack([lie.parameters(pose) for pose in poses]))
+    ends = generator.integers(0, 60, (2, 25))
+    tail, head = np.hstack([[np.arange(59), np.arange(1, 60)], ends[:, ends[0] != ends[1]]])
+    sigmas = np.where(np.arange(d) < space, 0.1, sigma_rotation)
+    noise = lie.as_numpy(group.exp(sigmas * generator.normal(size=(len(tail), d))))
+    measured = lie.compose(lie.between(lie.take(truth, tail), lie.take(truth, head)), noise)
+    information = np.broadcast_to(np.diag(sigmas**-2.0), (len(tail), d, d))
+    return PoseGraph.from_arrays(
+        poses=truth, tail=tail, head=head, measurement=measured, information=information
+    )
+
+
+@pytest.mark.parametrize(("seed", "rotation"), [(3, 0.7), (0, 0.4)])
+def test_other_starts_are_tried_where_the_first_is_doubted(seed, rotation):
+    """From the chordal start these do not converge, or to what can hardly be."""
+    walk = turning_walk(jaxlie.SE2, seed, rotation)
+    first = optimize_from("chordal", walk, solver="gauss-newton")
+    assert not first.converged or first.cost > 100.0
+    solution = optimize(walk)
+    assert solution.converged and solution.start != "chordal"
+    assert solution.cost < 0.9 * first.cost
+    assert solution.cost == pytest.approx(optimize(walk, initial=solution.start).cost, rel=1e-12)
+    assert f"from {solution.start} poses" in repr(solution)
+
+
+def test_poses_that_cost_less_are_taken_up():
+    """A local optimum that fits well enough, and a file whose poses are at a better one."""
+    walk = turning_walk(jaxlie.SE3, 6, 0.4)
+    better = optimize(walk, initial="given")
+    first = optimize(walk)
+    assert first.converged and better.cost < first.cost  # nothing tells
+    again = optimize(better.graph)
+    assert again.start == "given" and again.cost == pytest.approx(better.cost)
+    assert not first.certificate.certified
+
+
+def test_a_good_fit_is_not_doubted(monkeypatch):
+    walk = turning_walk(jaxlie.SE2, 1, 0.2)
+    monkeypatch.setattr(
+        "pcm_jax.mapping.optimization.INITIAL", ("chordal", "a start that is not known")
+    )
+    assert optimize(walk).start == "chordal"

@@ -1,4 +1,4 @@
-"""Gauss-Newton in NumPy against the compiled one: the same steps, the same optimum."""
+"""Least squares in NumPy against the compiled program: the same steps, the same optimum."""
 
 import dataclasses
 
@@ -26,9 +26,10 @@ def both(pose_graph, monkeypatch, **options):
     return in_numpy, optimize(pose_graph, **options)
 
 
+@pytest.mark.parametrize("solver", least_squares.SOLVERS)
 @pytest.mark.parametrize("initial", ["chordal", "spanning-tree"])
-def test_the_same_optimum_in_as_many_steps(pose_graph, initial, monkeypatch):
-    ours, compiled = both(pose_graph, monkeypatch, initial=initial)
+def test_the_same_optimum_in_as_many_steps(pose_graph, initial, solver, monkeypatch):
+    ours, compiled = both(pose_graph, monkeypatch, initial=initial, solver=solver)
     assert ours.converged and compiled.converged
     assert ours.iterations == compiled.iterations
     assert ours.initial_cost == pytest.approx(compiled.initial_cost, rel=1e-12)
@@ -46,6 +47,25 @@ def test_as_many_steps_as_are_allowed(pose_graph, monkeypatch):
         monkeypatch.delenv(ALWAYS)
 
 
+@pytest.mark.parametrize("most", [2, 12, 100])
+def test_the_same_steps_are_refused(most, monkeypatch):
+    """Loops whose measurements are another's: damping rises and falls several times."""
+    world = simulate_city(seed=4, poses=60, inliers=1, aliased_groups=0, random=0)
+    pose_graph = world.graph.maps[0]
+    order = np.arange(pose_graph.num_edges)
+    loops = np.flatnonzero(pose_graph.head - pose_graph.tail != 1)
+    order[loops] = loops[::-1]
+    wrong = dataclasses.replace(pose_graph, measurement=lie.take(pose_graph.measurement, order))
+    how = {"initial": "given", "solver": "levenberg-marquardt", "max_steps": most}
+    ours, compiled = both(wrong, monkeypatch, **how)
+    assert (ours.converged, ours.iterations) == (compiled.converged, compiled.iterations)
+    assert ours.cost == pytest.approx(compiled.cost, rel=1e-9)
+    if most == 100:
+        monkeypatch.delenv(ALWAYS)
+        fewer = optimize(wrong, **how | {"max_steps": ours.iterations + 1})
+        assert not fewer.converged and fewer.iterations < ours.iterations  # some were refused
+
+
 def test_a_start_without_a_cost_is_no_optimum(pose_graph, monkeypatch):
     values = np.array(lie.parameters(lie.as_numpy(pose_graph.poses)))
     values[5] = np.nan
@@ -55,16 +75,30 @@ def test_a_start_without_a_cost_is_no_optimum(pose_graph, monkeypatch):
 
 
 def test_equal_solves_give_equal_bits(pose_graph):
-    first, *others = (lie.parameters(lie.as_numpy(optimize(pose_graph).graph.poses)) for _ in range(200))
+    first, *others = (
+        lie.parameters(lie.as_numpy(optimize(pose_graph).graph.poses)) for _ in range(200)
+    )
     assert all(np.array_equal(first, other) for other in others)
 
 
 def test_large_problems_are_compiled_for(pose_graph, monkeypatch):
     edge = least_squares.SECONDS_AN_EDGE[pose_graph.tangent_dim]
     called = []
-    monkeypatch.setattr(least_squares, "gauss_newton", lambda *a, **k: called.append(a) or 1 / 0)
+    monkeypatch.setattr(least_squares, "minimize", lambda *a, **k: called.append(a) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
         optimize(pose_graph)
     most = (pose_graph.num_edges - 1) * edge
     monkeypatch.setattr("pcm_jax.compiling.SECONDS_TO_COMPILE", most)
     assert optimize(pose_graph).converged and len(called) == 1
+
+
+def test_slices_of_edges_are_the_whole(pose_graph, monkeypatch):
+    for solver in least_squares.SOLVERS:
+        whole = optimize(pose_graph, solver=solver)
+        with monkeypatch.context() as patched:
+            patched.setattr("pcm_jax.mapping._stepwise.SLICE", 7)
+            sliced = optimize(pose_graph, solver=solver)
+        assert sliced.iterations == whole.iterations
+        assert sliced.cost == pytest.approx(whole.cost, rel=1e-12)
+        poses = (lie.parameters(lie.as_numpy(one.graph.poses)) for one in (sliced, whole))
+        np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
