@@ -69,6 +69,7 @@ def test_in_any_order_it_ends_with_the_batch(graph, seed):
     assert_same_answer(online.result(), select(shuffled))
 
 
+@pytest.mark.slow
 def test_a_real_set_in_random_order(shared_data):
     """Four robots of Argos, half of the closures of every pair spoiled."""
     given = read_graph(*sorted((shared_data / RDM).glob("*.g2o.xz")))
@@ -104,6 +105,7 @@ def test_other_methods_and_metrics_are_asked_anew(graph, options):
     assert_same_answer(online.result(), select(online.graph, **options))
 
 
+@pytest.mark.slow
 def test_weights_decide_as_in_the_batch(graph):
     weight = np.random.default_rng(0).uniform(0.0, 2.0, len(graph.closures))
     weighted = dataclasses.replace(
@@ -211,6 +213,7 @@ def test_the_queue_is_bounded(graph):
     assert online.add(graph.closures[[1]]).tolist() == [-1]
 
 
+@pytest.mark.slow
 def test_odometry_leaves_distances_alone(graph, monkeypatch):
     online = IncrementalPcm(graph)
     before = online.result()
@@ -230,6 +233,7 @@ def test_odometry_leaves_distances_alone(graph, monkeypatch):
     assert_same_answer(after, select(online.graph))
 
 
+@pytest.mark.slow
 def test_a_loop_weighs_its_maps_pairs_again(graph, monkeypatch):
     maps = (begun(graph.maps[0], 60).with_edges(np.arange(59)), *graph.maps[1:])
     online = IncrementalPcm(dataclasses.replace(graph, maps=maps))
@@ -274,6 +278,7 @@ def test_merged_as_the_batch_merges(graph, online, refine):
         online.merge(method="dcs")
 
 
+@pytest.mark.slow
 def test_a_step_that_fails_leaves_all_as_it_was(graph, monkeypatch):
     online = IncrementalPcm(dataclasses.replace(graph, closures=graph.closures[:40]))
     before, told = online.result(), repr(online)
@@ -422,6 +427,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_killed_while_saving_the_last_state_loads(online, tmp_path):
     path = tmp_path / "state.npz"
     online.save(path)
