@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph, pad_graph, split
     from pcm_jax.mapping import MapCovariance, Solution, joint_marginal_covariance, optimize
     from pcm_jax.merging import MergeResult, merge_differentiable
-    from pcm_jax.online import IncrementalPcm
+    from pcm_jax.online import IncrementalPcm, IncrementalWithin
     from pcm_jax.pipeline import calibrate, clean_maps, merge, select, select_within, weigh
     from pcm_jax.selection import (
         Selection,
@@ -85,6 +85,7 @@ __all__ = [
     "Evidence",
     "FileFormatError",
     "IncrementalPcm",
+    "IncrementalWithin",
     "InputError",
     "InputWarning",
     "JointConsistency",
@@ -176,7 +177,7 @@ _NAMES_OF = {
     "evaluation": ("ate_rmse", "false_positive_rate", "precision", "true_positive_rate"),
     "experiments": ("sweep",),
     "merging": ("MergeResult", "merge_differentiable"),
-    "online": ("IncrementalPcm",),
+    "online": ("IncrementalPcm", "IncrementalWithin"),
     "pipeline": ("calibrate", "clean_maps", "merge", "select", "select_within", "weigh"),
 }
 _HOME_OF = {name: home for home, names in _NAMES_OF.items() for name in names}

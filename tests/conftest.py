@@ -17,7 +17,10 @@ import jax
 import jaxlie
 import pytest
 
-QUICK = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+QUICK = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+    " --xla_cpu_parallel_codegen_split_count=1"  # the workers share the cores already
+)
 CACHE = "JAX_COMPILATION_CACHE_DIR"
 KEPT = {  # whatever its compilation took, and its size
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.0,

@@ -1,4 +1,4 @@
-"""A thousand problems in one program, from covariances to merged maps and back; three are bad."""
+"""Hundreds of problems in one program, from covariances to merged maps and back; three are bad."""
 
 import dataclasses
 
@@ -15,8 +15,8 @@ from pcm_jax.selection import select_batched
 pytestmark = pytest.mark.slow
 
 
-SAMPLES, COUNT = 1_000, 6
-NOT_A_NUMBER, NOT_DEFINITE, NOT_CONVERGING = BAD = 10, 400, 999
+SAMPLES, COUNT = 250, 6
+NOT_A_NUMBER, NOT_DEFINITE, NOT_CONVERGING = BAD = 10, 100, 249
 GATE = 11.3
 
 
@@ -62,7 +62,7 @@ def run():
     return jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True)))
 
 
-def test_the_other_997_stay_the_same_bit_for_bit(run):
+def test_the_other_247_stay_the_same_bit_for_bit(run):
     scale = np.random.default_rng(1).uniform(0.5, 2.0, SAMPLES)
     covariance = scale[:, None, None, None] * np.tile(0.01 * np.eye(3), (COUNT, 1, 1))
     factor = np.ones(SAMPLES)

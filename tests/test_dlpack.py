@@ -28,6 +28,7 @@ def test_numpy_reads_results_where_they_lie():
     assert seen.ctypes.data == weights.unsafe_buffer_pointer()
 
 
+@pytest.mark.slow
 def test_derivatives_there_and_back():
     """What a foreign library's backward pass does: pull its own cotangent back."""
     run = lambda q: pcm.soft_select(q, GATE, temperature=1.0)  # noqa: E731

@@ -106,17 +106,20 @@ def test_python(names):
     assert read_graph("merged.g2o").names == ("a", "b")
 
 
+@pytest.mark.slow
 def test_python_by_hand_is_what_merge_does(names):
     by_hand, at_once = names["merged"].solution, names["result"].solution
     assert by_hand.cost == pytest.approx(at_once.cost, rel=1e-9)
     np.testing.assert_array_equal(names["merged"].accepted, names["result"].accepted)
 
 
+@pytest.mark.slow
 def test_python_recipes(names):
     assert names["small"].accepted.tolist() == [True, True, False]
     np.testing.assert_array_equal(names["cleaned"].graph.ids, names["graph"].maps[0].ids)
 
 
+@pytest.mark.slow
 def test_python_of_evidence(names):
     strict, again, mine = (names[name].accepted for name in ("strict", "again", "mine"))
     assert 2 <= strict.sum() <= names["result"].accepted.sum()

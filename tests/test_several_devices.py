@@ -56,9 +56,10 @@ pcm_jax.sweep(folder / "sweep", batch=128, mesh=mesh, progress=progress, **{SWEE
 
 
 def start(folder, address="", count=1, number=0, devices=1, killed=""):
+    flags = os.environ.get("XLA_FLAGS", "")
     environment = os.environ | {
         "JAX_PLATFORMS": "cpu",
-        "XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}",
+        "XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count={devices}",
     }
     arguments = [str(folder), address, str(count), str(number), killed]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}

@@ -10,6 +10,7 @@ _inputs      the graph that the options describe
 _progress    progress on standard error, for work that takes more than two seconds
 calibrate, demo, evaluate, explain    one module a command, each with its `run`
 formats, inspect, merge, simulate, stream     likewise
+_drives      drives whose closures keep coming: a team's, or one robot's
 _summary     the text that a merge prints
 _advice      the one thing to do next, where something about a merge is odd
 _reports     reports of merges, read again

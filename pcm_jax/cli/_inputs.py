@@ -70,14 +70,33 @@ def graph_to_merge(options: Any) -> Given:
     Warns:
         InputWarning: of what was read otherwise than it may have been meant.
     """
-    given = read(options)
-    for line in given.account.warnings():
-        warnings.warn(InputWarning(line), stacklevel=2)
-    at = _indices(options, given.graph)
-    if at:
-        given = _cut(given, at, options)
+    given = _read_and_cut(options)
     _check_mergeable(given.graph, options.files)
     return given
+
+
+def graph_to_stream(options: Any) -> Given:
+    """Reads and cuts, and checks that there are closures, between robots or inside one's map.
+
+    Raises:
+        InputError: for bad files, several robots without closures between them, one without a loop.
+
+    Warns:
+        InputWarning: as `graph_to_merge`.
+    """
+    given = _read_and_cut(options)
+    first, *others = given.graph.maps
+    if others or first.num_edges < first.num_poses:
+        _check_mergeable(given.graph, options.files)
+    return given
+
+
+def _read_and_cut(options: Any) -> Given:
+    given = read(options)
+    for line in given.account.warnings():
+        warnings.warn(InputWarning(line), stacklevel=3)
+    at = _indices(options, given.graph)
+    return _cut(given, at, options) if at else given
 
 
 def _indices(options: Any, graph: MultiRobotGraph) -> list[int]:

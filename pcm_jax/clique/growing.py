@@ -18,6 +18,7 @@ since a clique of ω among v's neighbours was one of those of which C is the fir
 from __future__ import annotations
 
 import math
+from time import perf_counter
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -25,10 +26,13 @@ from jaxtyping import Bool, Int
 from pcm_jax.clique._exact import BitGraph, largest_clique
 from pcm_jax.clique._ties import smallest_by_index
 from pcm_jax.clique.maximum import maximum_clique
+from pcm_jax.clique.result import Clique
 
 STEPS = 256
 """Branches of the search at a vertex that comes: some milliseconds. What they do not decide waits
 until it is asked for, and is then decided for all vertices that came by one search."""
+SEARCHED = 400
+"""Vertices left, up to which that search is made at all: of more it hardly ever decides."""
 FEW = 8
 """Vertices that came, up to which the first clique is looked for among the neighbours of each."""
 UNDECIDED = -1
@@ -111,6 +115,9 @@ class GrowingClique:
             self._near[other] |= own
         found = self._members if self._members & ~near == 0 else self._clique(near, known, STEPS)
         self._most += found is not None
+        if found == UNDECIDED:
+            found = self._exchanged(near, own)
+            settled = False
         if found is None or found == UNDECIDED:
             self._since.append(vertex)
         else:
@@ -133,21 +140,57 @@ class GrowingClique:
         if not self._members and self._near:
             self._members = 1
 
-    def first(self) -> Bool[np.ndarray, " m"]:
-        """The maximum clique that is the first by index, as a mask."""
+    def first(self, deadline: float = math.inf) -> Bool[np.ndarray, " m"]:
+        """The maximum clique that is the first by index, as a mask.
+
+        Args:
+            deadline: reading of `time.perf_counter` after which any maximum clique is, once its
+                size is known.
+        """
         self._settle()
         size = self._most
         earlier = {v: self._near[v] & ((1 << v) - 1) for v in self._since}
         if self._first is None or len(earlier) > FEW:
             whole = (1 << len(self)) - 1
-            self._first = self._clique(whole, size, known=self._members, first=True)
-            earlier = {}
+            found = self._clique(whole, size, known=self._members, first=True, deadline=deadline)
+            self._members, earlier = found or 0, {}
+        else:
+            self._members = self._first
         for vertex, near in earlier.items():
-            found = self._clique(near, size - 1, first=True)
-            if found is not None and _precedes(found | 1 << vertex, self._first or 0):
-                self._first = found | 1 << vertex
-        self._since, self._members = [], self._first or 0
+            found = self._clique(near, size - 1, first=True, deadline=deadline)
+            if found is None or found == UNDECIDED:
+                continue
+            if _precedes(found | 1 << vertex, self._members):
+                self._members = found | 1 << vertex
+        in_time = perf_counter() < deadline
+        self._since, self._first = [], self._members if in_time else None
         return _as_mask(self._members, len(self))
+
+    def largest(self, time_limit: float = math.inf) -> Clique:
+        """The maximum clique that is the first by index, or the best by a time.
+
+        Args:
+            time_limit: seconds. If they are over, the clique is the largest one that is known, and
+                the search goes on from it when asked again.
+        """
+        start = perf_counter()
+        self._settle(start + time_limit)
+        size, most = self._members.bit_count(), self._most
+        members = _as_mask(self._members, len(self))
+        if size == most:
+            members = self.first(start + time_limit)
+        spent = perf_counter() - start
+        return Clique(members, size, size == most, most, spent, size, most)
+
+    def _exchanged(self, near: int, own: int) -> int:
+        """A clique of all but one of those in hand and one more, with which a new vertex agrees."""
+        stays = self._members & near
+        if stays.bit_count() != self._members.bit_count() - 1:
+            return UNDECIDED
+        common = near
+        for vertex in np.flatnonzero(_as_mask(stays, len(self))).tolist():
+            common &= self._near[vertex]
+        return stays | common & -common if common else UNDECIDED
 
     def _grow(self, own: int, near: int, found: int, settled: bool) -> None:
         self._members = found | own
@@ -155,7 +198,7 @@ class GrowingClique:
         self._first = None if first is None or first & ~near else first | own
         self._since = []
 
-    def _settle(self) -> None:
+    def _settle(self, deadline: float = math.inf) -> None:
         """Closes the gap between the clique in hand and the bound on the largest."""
         known = self._members.bit_count()
         if known == self._most:
@@ -164,7 +207,14 @@ class GrowingClique:
         if found is not None:
             self._first, self._since = None, []
             if found == UNDECIDED or known + 1 < self._most:
-                found = self._first = _as_set(maximum_clique(self.dense()).members)
+                left = max(0.0, deadline - perf_counter())
+                whole = maximum_clique(self.dense(), time_limit=left)
+                found = _as_set(whole.members)
+                if perf_counter() >= deadline:
+                    self._members = found if whole.size > known else self._members
+                    self._most = min(self._most, whole.upper_bound)
+                    return
+                self._first = found
             self._members = found
         self._most = self._members.bit_count()
 
@@ -176,6 +226,7 @@ class GrowingClique:
         *,
         known: int | None = None,
         first: bool = False,
+        deadline: float = math.inf,
     ) -> int | None:
         """A clique of some size among candidates; None where none is, or `UNDECIDED`.
 
@@ -185,15 +236,20 @@ class GrowingClique:
             steps: of the search, at most.
             known: such a clique, if one is known.
             first: whether it has to be the first by index, of candidates that hold none larger.
+            deadline: of the search for that one, or of one without end.
         """
         if size == 0:
             return 0
-        vertices, table = self._inside(candidates, size - 1)
+        vertices = self._inside(candidates, size - 1)
         if len(vertices) < size:
             return None
-        graph = BitGraph(table)
+        if len(vertices) > SEARCHED and steps < math.inf:
+            return UNDECIDED
+        graph = BitGraph(self._table(vertices))
         if known is None:
-            outcome = largest_clique(graph, graph.everything, size - 1, ceiling=size, steps=steps)
+            outcome = largest_clique(
+                graph, graph.everything, size - 1, ceiling=size, steps=steps, deadline=deadline
+            )
             if outcome.labels is None and outcome.unsettled:
                 return UNDECIDED
             labels = outcome.labels
@@ -201,23 +257,21 @@ class GrowingClique:
             inside = np.flatnonzero(_as_mask(known, len(self)))
             labels = graph.labels_of(np.searchsorted(vertices, inside))
         if labels is not None and first:
-            labels = smallest_by_index(graph, labels, np.inf)
+            labels = smallest_by_index(graph, labels, deadline)
         return None if labels is None else _set_of(vertices[graph.vertices_of(labels)])
 
-    def _inside(
-        self, candidates: int, degree: int
-    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, "n n"]]:
-        """Candidates with so many neighbours among them, ascending, and the graph of them."""
+    def _inside(self, candidates: int, degree: int) -> Int[np.ndarray, " n"]:
+        """Candidates with so many neighbours among them, ascending."""
         vertices = np.flatnonzero(_as_mask(candidates, len(self)))
         while len(vertices) > degree:
             few = [
                 v for v in vertices.tolist() if (self._near[v] & candidates).bit_count() < degree
             ]
             if not few:
-                return vertices, self._table(vertices)
+                return vertices
             candidates &= ~_set_of(np.array(few))
             vertices = np.setdiff1d(vertices, few, assume_unique=True)
-        return vertices[:0], np.zeros((0, 0), bool)
+        return vertices[:0]
 
     def _table(self, vertices: Int[np.ndarray, " n"]) -> Bool[np.ndarray, "n n"]:
         size = -(-len(self) // 8)

@@ -19,6 +19,7 @@ packed              `PackedGraph`: a graph of one bit a pair
 streaming           all of it for tens of thousands of closures, panel by panel, straight to bits
 shuffled            the pairs that agree once measurements are shuffled: what chance does
 growing             `GrowingPair`: closures that come one by one, a row of Q each
+growing_within      `GrowingWithin`: the same for closures inside one map
 evidence            `Evidence`: what every pair of robots' closures say of each other
 stacked             the errors of k closures about one alignment, and their covariance
 joint               `joint_consistency`: whether all closures of a set can be right together
@@ -29,6 +30,7 @@ from pcm_jax.consistency.evidence import Evidence, PairEvidence
 from pcm_jax.consistency.gate import chi2_gate
 from pcm_jax.consistency.graph import consistency_graph, to_networkx
 from pcm_jax.consistency.growing import GrowingPair
+from pcm_jax.consistency.growing_within import GrowingWithin
 from pcm_jax.consistency.joint import (
     AlignmentDifference,
     JointConsistency,
@@ -70,6 +72,7 @@ __all__ = [
     "ConsistentPairs",
     "Evidence",
     "GrowingPair",
+    "GrowingWithin",
     "JointConsistency",
     "OwnLoops",
     "PackedGraph",

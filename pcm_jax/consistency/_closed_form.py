@@ -223,9 +223,16 @@ def weigh(
 
 
 def squared_one_way(
-    module: ModuleType, t_u: Any, t_v: Any, at: Any, fixed: Any, side_b: Any, free: Any = None
+    module: ModuleType,
+    t_u: Any,
+    t_v: Any,
+    at: Any,
+    fixed: Any,
+    side_b: Any,
+    free: Any = None,
+    both_sides: Any = None,
 ) -> Any:
-    """One direction's q² of pairs between two maps, on NumPy arrays as on JAX's.
+    """One direction's q² of pairs, on NumPy arrays as on JAX's.
 
     Args:
         module: of the group.
@@ -235,11 +242,13 @@ def squared_one_way(
         fixed: Ga_ij + Z_u + Z_v, packed.
         side_b: Gb_kl, packed.
         free: columns of N, see `columns_of`; with them a `Limit` is returned.
+        both_sides: within one map (s, O packed), see `sides_of_one_map`.
     """
     error = module.log(module.compose(t_v, module.inverse(t_u)))
+    total = _total(module, at, fixed, side_b, both_sides)
     if free is not None:
-        return limit(_total(module, at, fixed, side_b, None), error, free)
-    return unrolled.inverse_quadratic_form(_total(module, at, fixed, side_b, None), error)
+        return limit(total, error, free)
+    return unrolled.inverse_quadratic_form(total, error)
 
 
 def _two_maps(problem: ConsistencyProblem, u: Any, v: Any) -> tuple[Any, Any]:
@@ -262,6 +271,19 @@ def _one_map(problem: WithinProblem, u: Any, v: Any) -> tuple[Any, Any, Any]:
 
     i, j = instant(problem.row_a[u], 1), instant(problem.row_a[v], 0)
     k, l = instant(problem.row_b[u], 1), instant(problem.row_b[v], 0)  # noqa: E741
+    return sides_of_one_map(i, j, k, l)
+
+
+def sides_of_one_map(i: Any, j: Any, k: Any, l: Any) -> tuple[Any, Any, Any]:  # noqa: E741
+    """A and B, packed, and (s, O packed), of pairs of closures inside one map.
+
+    Args:
+        i: the instants at which closures u start, each its place in the order of time and S,
+            packed; likewise
+        j: those at which closures v start,
+        k: those at which closures u end,
+        l: those at which closures v end.
+    """
     (first_a, last_a), (first_b, last_b) = _in_order(i, j), _in_order(l, k)
     start, end = _in_order(first_a, first_b)[1], _in_order(last_a, last_b)[0]
     end = _in_order(start, end)[1]  # of intervals that do not meet nothing is shared
@@ -272,15 +294,16 @@ def _one_map(problem: WithinProblem, u: Any, v: Any) -> tuple[Any, Any, Any]:
 
     shared = tuple(x_end - x_start for x_start, x_end in zip(start[1], end[1], strict=True))
     together = (i[0] < j[0]) == (l[0] < k[0])
-    sign = jnp.where(together, jnp.ones((), shared[0].dtype), -1.0)
+    xp = namespace(shared[0])
+    sign = xp.where(together, xp.ones((), shared[0].dtype), -1.0)
     return without(first_a, last_a), without(first_b, last_b), (sign, shared)
 
 
 def _in_order(one: Any, other: Any) -> tuple[Any, Any]:
     """The earlier and the later of two instants, each its row and S, packed."""
-    swapped = one[0] > other[0]
-    earlier = jax.tree.map(lambda x, y: jnp.where(swapped, y, x), one, other)
-    later = jax.tree.map(lambda x, y: jnp.where(swapped, x, y), one, other)
+    swapped, xp = one[0] > other[0], namespace(one[0], other[0])
+    earlier = jax.tree.map(lambda x, y: xp.where(swapped, y, x), one, other)
+    later = jax.tree.map(lambda x, y: xp.where(swapped, x, y), one, other)
     return earlier, later
 
 

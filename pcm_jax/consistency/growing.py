@@ -135,6 +135,47 @@ class GrowingPair:
         self._poses[:, some] = closures.pose_a, closures.pose_b
         self._unsaid[some], self.count = unsaid, count
 
+    def moved_to(self, other: GrowingPair) -> Float[np.ndarray, " m"]:
+        """Bounds how far distances move as closures do: q of two by at most the sum of theirs.
+
+        The same closures in maps that changed have T exp'd by τ and C less by D. With M ⪰ Z_u + Z_v
+        (module docstring; the loop's own adjoint taken for the identity, as it is where closures
+        nearly agree) the error r moves by at most ‖τ_u‖ + ‖τ_v‖ in the metric of M⁻¹, and M by at
+        most 2 (D_u + D_v), which is the fraction δ of Z_u + Z_v that it is of either. So
+
+            |q' − q|  ≤  Σ ‖τ‖_Z⁻¹ + γ Σ (1 / √(1 − δ) − 1)     for q up to γ,
+
+        exact for maps that information was only added to, else to first order.
+
+        Args:
+            other: of the same closures, in their order.
+        """
+        some = slice(0, self.count)
+        was, now = self._numbers[:, some], other._numbers[:, some]
+        (t, z, *owns, _), (t_now, _, *owns_now, _) = (
+            [table[part] for part in self._parts] for table in (was, now)
+        )
+        t_was, t_is = tuple(t), tuple(t_now)
+        shift = np.stack(self._module.log(self._module.compose(t_is, self._module.inverse(t_was))))
+        lower = np.linalg.cholesky(_unpacked(z, self._dim))
+        turned = np.linalg.solve(lower, shift.T[..., None])[..., 0]
+        less = np.zeros(self.count)
+        adjoint = np.asarray(lie.adjoint(lie.group_of(self.covariances[0].frame)(t.T)))
+        for side, (before, after) in enumerate(zip(owns, owns_now, strict=True)):
+            change = _unpacked(after - before, self._dim)
+            change = adjoint @ change @ adjoint.swapaxes(1, 2) if side else change
+            whitened = np.linalg.solve(lower, change)
+            whitened = np.linalg.solve(lower, whitened.swapaxes(1, 2))
+            less += 2.0 * np.abs(np.linalg.eigvalsh(whitened)).max(axis=1, initial=0.0)
+        with np.errstate(divide="ignore"):
+            narrowed = 1.0 / np.sqrt(np.maximum(0.0, 1.0 - less)) - 1.0
+        return np.linalg.norm(turned, axis=1) + np.sqrt(self.gate) * narrowed
+
+    def keep(self, slots: Bool[np.ndarray, " m"], other: GrowingPair) -> None:
+        """Takes what `other` holds of some closures for what is held of them here."""
+        rows = np.flatnonzero(slots)
+        self._numbers[:, rows] = other._numbers[:, rows]
+
     def copy(self) -> GrowingPair:
         """Copies the state; until one of the two has room to make, tables are shared.
 
@@ -256,6 +297,13 @@ class _One(NamedTuple):
     numbers: Float[np.ndarray, "s 1"]
     poses: tuple[int, int]
     unsaid: bool
+
+
+def _unpacked(packed: Float[np.ndarray, "q m"], dim: int) -> Float[np.ndarray, "m d d"]:
+    row, column = np.transpose(unrolled.packed_indices(dim))
+    blocks = np.empty((packed.shape[1], dim, dim))
+    blocks[:, row, column] = blocks[:, column, row] = packed.T
+    return blocks
 
 
 def _twice(blocks: Float[np.ndarray, "m d d"]) -> Float[np.ndarray, "q m"]:

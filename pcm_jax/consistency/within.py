@@ -87,7 +87,7 @@ def within_problem(pose_graph: PoseGraph) -> WithinProblem:
     odometry = odometry_edges(pose_graph)
     closing = np.ones(pose_graph.num_edges, bool)
     closing[odometry] = False
-    start, end, measurement, covariance = _forward(pose_graph, np.flatnonzero(closing))
+    start, end, measurement, covariance = forward(*_edges(pose_graph, np.flatnonzero(closing)))
     touched, rows = np.unique(np.stack([start, end]), return_inverse=True)
     rows = rows.reshape(2, -1)
     poses, cumulated = _chain(pose_graph, odometry, touched)
@@ -192,20 +192,35 @@ def odometry_edges(pose_graph: PoseGraph) -> Int[np.ndarray, " steps"]:
     return steps[first]
 
 
-def _forward(pose_graph: PoseGraph, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any, Any]:
+def forward(
+    tail: Int[np.ndarray, " e"],
+    head: Int[np.ndarray, " e"],
+    measurement: Any,
+    information: Float[np.ndarray, "e d d"],
+) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " e"], Any, Float[np.ndarray, "e d d"]]:
     """Earlier pose, later pose, measurement and covariance of edges, turned to run that way.
 
     With z' = z⁻¹, an error z exp(δ) is z' exp(−Ad(z) δ).
     """
-    tail, head = np.asarray(pose_graph.tail)[edges], np.asarray(pose_graph.head)[edges]
     backward = (tail > head)[:, None]
-    stored = lie.take(lie.as_numpy(pose_graph.measurement), edges)
-    turned = np.where(backward, lie.parameters(lie.inverse(stored)), lie.parameters(stored))
-    covariance = np.linalg.inv(np.asarray(pose_graph.information)[edges])
-    adjoint = np.asarray(lie.adjoint(stored))
+    turned = np.where(
+        backward, lie.parameters(lie.inverse(measurement)), lie.parameters(measurement)
+    )
+    covariance = np.linalg.inv(information)
+    adjoint = np.asarray(lie.adjoint(measurement))
     carried = adjoint @ covariance @ adjoint.swapaxes(1, 2)
     covariance = np.where(backward[..., None], carried, covariance)
-    return np.minimum(tail, head), np.maximum(tail, head), pose_graph.group(turned), covariance
+    group = lie.group_of(measurement)
+    return np.minimum(tail, head), np.maximum(tail, head), group(turned), covariance
+
+
+def _edges(pose_graph: PoseGraph, rows: Any) -> tuple[np.ndarray, np.ndarray, Any, np.ndarray]:
+    """Tail, head, measurement and information of some edges."""
+    tail, head, information = (
+        np.asarray(each)[rows]
+        for each in (pose_graph.tail, pose_graph.head, pose_graph.information)
+    )
+    return tail, head, lie.take(lie.as_numpy(pose_graph.measurement), rows), information
 
 
 def _chain(
@@ -215,12 +230,24 @@ def _chain(
     from pcm_jax.graph import spanning_tree_poses
 
     n, d = pose_graph.num_poses, pose_graph.tangent_dim
-    start, end, steps, covariance = _forward(pose_graph, odometry)
+    start, end, steps, covariance = forward(*_edges(pose_graph, odometry))
     poses = recentred(spanning_tree_poses(start, end, steps, n), touched)
-    left = np.asarray(lie.adjoint(lie.take(poses, slice(1, None))))
-    added = left @ covariance @ left.swapaxes(1, 2)
-    rows, columns = np.transpose(unrolled.packed_indices(d))
+    added = added_by_steps(lie.take(poses, slice(1, None)), covariance)
     added[: touched[0] if len(touched) else n] = 0.0
-    cumulated = np.zeros((n, len(rows)))
-    np.cumsum(added[:, rows, columns], axis=0, out=cumulated[1:])
+    cumulated = np.zeros((n, d * (d + 1) // 2))
+    np.cumsum(added, axis=0, out=cumulated[1:])
     return lie.take(poses, touched), cumulated[touched]
+
+
+def added_by_steps(
+    ends: Any, covariance: Float[np.ndarray, "n d d"]
+) -> Float[np.ndarray, "n packed"]:
+    """The share that each step adds to S, Ad(X_{s+1}) Σ_s Ad(X_{s+1})ᵀ, packed.
+
+    Args:
+        ends: Lie `[n]`, the poses at which steps end.
+        covariance: of their measurements.
+    """
+    left = np.asarray(lie.adjoint(ends))
+    rows, columns = np.transpose(unrolled.packed_indices(covariance.shape[-1]))
+    return (left @ covariance @ left.swapaxes(1, 2))[:, rows, columns]

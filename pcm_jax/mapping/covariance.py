@@ -14,6 +14,8 @@ covariances cancel where they are subtracted. Runs on the host.
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import functools
 import threading
 import warnings
@@ -232,6 +234,12 @@ class MapCovariance:
         grown._trunk = self._trunk
         grown._grown = np.concatenate([self._grown, start + np.cumsum(own, axis=0)])
         return grown
+
+    def renamed(self, name: str) -> MapCovariance:
+        """The same of a robot that is called otherwise; what is known of it is shared."""
+        twin = copy.copy(self)
+        twin.pose_graph = dataclasses.replace(self.pose_graph, name=name)
+        return twin
 
     def factor(self) -> CholeskyFactor:
         """The factor of H; see `covariance_factor`."""

@@ -6,13 +6,18 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from pcm_jax.consistency import Evidence
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.integrity import AS_ASKED, Doubts
 from pcm_jax.online._state import State
+from pcm_jax.online._steady import Change, changes
 from pcm_jax.pipeline.select import CHANCE, OF_WEIGHING, decide
 from pcm_jax.pipeline.stages import StopWatch, silent
+from pcm_jax.pipeline.weigh import MEMORY_LIMIT
 from pcm_jax.selection import Selection
+from pcm_jax.selection.choose import needs_distances
 from pcm_jax.selection.weights import check_weights
 
 EXACT = "pcm-exact"
@@ -27,6 +32,7 @@ def answer(
     names: tuple[str, float, float],
     metric: str,
     seconds: dict[str, float],
+    hysteresis: float = 0.0,
 ) -> Selection:
     """The selection that `select` makes of a graph, from a state that holds it.
 
@@ -37,6 +43,7 @@ def answer(
         names: the method's name, the confidence and γ².
         metric: its name.
         seconds: by stage, what was spent before.
+        hysteresis: see `_steady`.
 
     Warns:
         InputWarning: as `select`.
@@ -46,7 +53,7 @@ def answer(
     known = {*OF_ALL, *OF_CHANCE, *OF_WEIGHING}
     own = {name: value for name, value in options.items() if name not in known}
     with watch("clique"):
-        choices = [pair.choice(method, own) for pair in state.pairs.values()]
+        choices = [pair.choice(method, own, hysteresis) for pair in state.pairs.values()]
     evidence = Evidence(
         graph,
         tuple(covariance.pose_graph for covariance in state.covariances),
@@ -62,6 +69,34 @@ def answer(
     tell = options.get("progress") or silent
     selection = decide(evidence, choices, names, minimum, watch, tell, **by)
     return dataclasses.replace(selection, waiting=len(state.waiting))
+
+
+def memory_limit(options: Mapping[str, Any]) -> float:
+    """Bytes for distances: any number of them where the method needs them, as for `select`."""
+    by = {name: options[name] for name in ("tie_break",) if name in options}
+    needed = needs_distances(options.get("method", EXACT), by)
+    return np.inf if needed else options.get("memory_limit", MEMORY_LIMIT)
+
+
+def remember(state: State, selection: Selection, step: int) -> list[Change]:
+    """Marks what an answer believes, and lists what entered it and what left.
+
+    Args:
+        state: that the answer was given for.
+        selection: the answer.
+        step: how many changes were taken before.
+    """
+    found, graph = [], selection.evidence.graph
+    for held, pair in zip(state.pairs.values(), selection.pairs, strict=True):
+        if not np.array_equal(held.believed, pair.accepted):
+            changed = changes(held.believed, pair.accepted, held.agree(), pair.verdict.why)
+            for row, event, why in changed:
+                one = held.measured
+                a = graph.maps[held.robots[0]].pose_name(int(one.pose_a[row]))
+                b = graph.maps[held.robots[1]].pose_name(int(one.pose_b[row]))
+                found.append(Change(step, int(held.closures[row]), a, b, event, why))
+            held.believed = pair.accepted
+    return found
 
 
 def _remembered(state: State, question: Callable[..., Any]) -> Callable[..., Any]:

@@ -8,7 +8,7 @@ not come yet waits in a queue of bounded length, and enters when it has.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -159,6 +159,47 @@ class Identities:
             if found[row] == NEW:
                 known.append((name(row), closures, row))
         return found
+
+
+class Named(NamedTuple):
+    """Closures that come, by the names they get.
+
+    Attributes:
+        names: int64 `[m]`, of each; of one that is stated again that of the first.
+        new: marks those that were not met before.
+        met: all that are known now.
+    """
+
+    names: Int[np.ndarray, " m"]
+    new: Bool[np.ndarray, " m"]
+    met: Identities
+
+
+def named(
+    closures: LoopClosures,
+    there: Bool[np.ndarray, " m"],
+    held: int,
+    known: Identities | None,
+    met: Callable[[], Identities],
+) -> Named:
+    """Names closures that come: those that are new and whose poses are there from `held` on.
+
+    Args:
+        closures: that come.
+        there: marks those whose poses are there; the others wait.
+        held: how many there are.
+        known: those met so far, which is used up; None where it is not at hand.
+        met: finds those anew.
+    """
+    known = known or met()
+    future = np.where(there, held + np.cumsum(there) - 1, WAITS)
+    again = known.meet(closures, lambda row: int(future[row]))
+    new = again == NEW
+    if not new.all():  # those behind a repeated one get other names
+        known = met()
+        future[new & there] = held + np.arange(int((new & there).sum()))
+        again = known.meet(closures, lambda row: int(future[row]))
+    return Named(np.where(new, future, again), new, known)
 
 
 def _first(known: list[tuple[int, LoopClosures, int]], one: LoopClosures) -> int:

@@ -15,6 +15,8 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph, checked
 from pcm_jax.graph.spanning_tree import check_connected
 from pcm_jax.graph.validation import argument_fault, as_indices, check_self_loops, raise_first
+from pcm_jax.mapping import MapCovariance
+from pcm_jax.pipeline.weigh import optimized_maps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +61,13 @@ def robot_index(robot: Any, names: Sequence[str]) -> int:
             f"robot: {robot!r} given, expected 0 … {len(names) - 1} or one of {', '.join(names)}"
         )
     return index
+
+
+def check_name(index: int, name: Any, names: Sequence[str]) -> None:
+    """Raises `InputError` for a robot's new name that is empty, none, or another robot's."""
+    taken = [one for robot, one in enumerate(names) if robot != index]
+    if not isinstance(name, str) or not name or name in taken:
+        raise InputError(f"name: {name!r} given, expected one that no other robot has")
 
 
 def checked_part(
@@ -143,6 +152,32 @@ def joined(pose_graph: PoseGraph, part: NewPart) -> PoseGraph:
         source=np.concatenate([pose_graph.source, np.full(len(part.tail), "", object)]),
         stamps=stamps,
     )
+
+
+def grown_by(
+    given: PoseGraph, covariance: MapCovariance, new: NewPart, *, settled: bool
+) -> tuple[PoseGraph, MapCovariance, bool]:
+    """Joins a new part to a map and to its optimum.
+
+    Args:
+        given: the map.
+        covariance: of its optimum.
+        new: the part.
+        settled: whether maps are given at their optimum.
+
+    Returns:
+        the map, its covariance, and whether the part is odometry that moves nothing.
+
+    Warns:
+        ConvergenceWarning: where optimising the map stops before it converges.
+    """
+    grown = joined(given, new)
+    placed = grown.with_poses(with_new(covariance.pose_graph.poses, new))
+    odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
+    if odometry:
+        return grown, covariance.extend(placed), True
+    optimum = grown if settled else optimized_maps((placed,), False, initial="given")[0]
+    return grown, MapCovariance(optimum, origin=covariance.origin), False
 
 
 def _placed(old: Any, part: NewPart) -> Any:

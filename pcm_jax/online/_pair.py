@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from pcm_jax.clique import GrowingClique
 from pcm_jax.consistency import (
@@ -23,12 +23,15 @@ from pcm_jax.consistency import (
 from pcm_jax.graph import LoopClosures
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.online._arrivals import Arrived
+from pcm_jax.online._steady import steadied
 from pcm_jax.selection import METHODS, Choice, choose
 from pcm_jax.selection.choose import needs_distances
 from pcm_jax.selection.weights import weights_for
 
 MANY = 64
 """Closures that come together, from which all pairs are weighed at once rather than row by row."""
+MOST_MOVED = 0.3
+"""Share of closures that moved, from which all pairs are weighed anew at once."""
 
 Covariances = tuple[MapCovariance, MapCovariance]
 Metric = Callable[[Any, Any, LoopClosures], Any]
@@ -50,6 +53,7 @@ class HeldPair:
         closures: int64 `[k]`, indices among all closures, ascending.
         clique: of the consistency graph; None with a metric.
         known: chance levels and rivals, for as long as nothing changes.
+        believed: bool `[k]`, those of the last answer.
     """
 
     def __init__(
@@ -65,6 +69,7 @@ class HeldPair:
         self._arrived = Arrived(LoopClosures.empty(covariances[0].pose_graph.group))
         self.clique = None if metric else GrowingClique()
         self.known: dict[Any, Any] = {}
+        self.believed: Bool[np.ndarray, " k"] = np.zeros(0, bool)
         self._limit, self._metric = memory_limit, metric
         self._growing = None if metric else GrowingPair(covariances, gate)
         self._evidence: PairEvidence | None = None
@@ -104,6 +109,7 @@ class HeldPair:
         """
         self._arrived = self._arrived.with_more(closures)
         self.closures = np.concatenate([self.closures, indices])
+        self.believed = np.append(self.believed, np.zeros(len(closures), bool))
         self._forget()
         if self._growing is None or self.clique is None:
             return
@@ -120,6 +126,7 @@ class HeldPair:
         kept = np.ones(len(self), bool)
         kept[rows] = False
         self._arrived, self.closures = Arrived(self.measured[kept]), self.closures[kept]
+        self.believed = self.believed[kept]
         self._forget()
         for row in sorted(rows.tolist(), reverse=True):
             if self._growing is not None and self.clique is not None:
@@ -151,6 +158,35 @@ class HeldPair:
         """
         anew = HeldPair(self.robots, covariances, self.gate, self._limit, self._metric)
         anew.add(self.measured, self.closures)
+        anew.believed = self.believed
+        return anew
+
+    def refreshed(self, covariances: Covariances, tolerance: float) -> HeldPair:
+        """The same closures in other maps, weighed anew where distances moved.
+
+        Args:
+            covariances: of the maps.
+            tolerance: how far q (not squared) of two closures may have moved for them to be left
+                as they were judged.
+
+        Raises:
+            InputError: as `add`.
+        """
+        if self._growing is None or self.clique is None or not tolerance or not len(self):
+            return self.rebuilt(covariances)
+        growing = GrowingPair(covariances, self.gate)
+        growing.take_in(self.measured)
+        moved = self._growing.moved_to(growing) > 0.5 * tolerance
+        if moved.sum() > MOST_MOVED * len(self):
+            return self.rebuilt(covariances)
+        growing.keep(~moved, self._growing)
+        anew, graph = self.copy(), self.clique.dense()
+        for row in np.flatnonzero(moved).tolist():
+            graph[row] = graph[:, row] = growing.agreeing(self.measured[[row]])
+        np.fill_diagonal(graph, False)
+        anew.covariances, anew._growing = covariances, growing
+        anew.clique = GrowingClique.of_graph(graph) if moved.any() else self.clique
+        anew._forget()
         return anew
 
     def evidence(self) -> PairEvidence:
@@ -163,11 +199,24 @@ class HeldPair:
             self._evidence = self._asked(known)
         return self._evidence
 
-    def choice(self, method: Any, options: dict[str, Any]) -> Choice:
-        """The set that a method chooses, as `choose` finds it from all distances."""
+    def choice(self, method: Any, options: dict[str, Any], hysteresis: float = 0.0) -> Choice:
+        """The set that a method chooses, as `choose` finds it from all distances.
+
+        Args:
+            method, options: as there.
+            hysteresis: see `_steady`.
+        """
         if self._choice is None:
             self._choice = self._chosen(method, options)
-        return self._choice
+        if not hysteresis:
+            return self._choice
+        given = np.asarray(self.measured.weight, np.float64)
+        weight = np.ones(len(self)) if self._choice.weight is None else given
+        return steadied(self._choice, self.agree(), self.believed, hysteresis, weight)
+
+    def agree(self) -> Bool[np.ndarray, "k k"]:
+        """The graph of those that agree, symmetric."""
+        return self.evidence().consistent(self.gate)
 
     def _chosen(self, method: Any, options: dict[str, Any]) -> Choice:
         evidence = self.evidence()

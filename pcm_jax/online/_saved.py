@@ -26,7 +26,7 @@ from pcm_jax.online._pair import HeldPair
 from pcm_jax.online._state import State
 from pcm_jax.store import digest, written_whole
 
-VERSION = 1
+VERSION = 2
 Arrays = dict[str, np.ndarray]
 MEASURED = ("robot_a", "pose_a", "robot_b", "pose_b", "information", "weight")
 
@@ -43,8 +43,12 @@ def write(path: Path, meta: dict[str, Any], arrays: Arrays) -> None:
         np.savez(file, allow_pickle=False, meta=text, **arrays)  # type: ignore[arg-type]
 
 
-def read(path: Path) -> tuple[dict[str, Any], Arrays]:
+def read(path: Path, form: str) -> tuple[dict[str, Any], Arrays]:
     """Reads what `write` wrote.
+
+    Args:
+        path: of the file.
+        form: whose state it is, `meta["form"]`.
 
     Raises:
         FileFormatError: for a file of another kind or version, one that is cut short or changed.
@@ -56,11 +60,13 @@ def read(path: Path) -> tuple[dict[str, Any], Arrays]:
         meta = json.loads(arrays.pop("meta").tobytes())
         version, found = meta.pop("version"), meta.pop("digest")
     except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise FileFormatError(path, None, "not a state that IncrementalPcm saved") from error
+        raise FileFormatError(path, None, f"not a state that {form} saved") from error
     if version != VERSION:
         raise FileFormatError(path, None, f"version {version!r}, expected {VERSION}")
     if found != _digest(meta, arrays):
         raise FileFormatError(path, None, "changed since it was written, or cut short")
+    if meta.get("form", form) != form:
+        raise FileFormatError(path, None, f"a state of {meta['form']}, expected one of {form}")
     return meta, arrays
 
 
@@ -89,12 +95,13 @@ def arrays_of(state: State) -> Arrays:
     """The state as arrays by name."""
     found: Arrays = {}
     for index, (one, covariance) in enumerate(zip(state.maps.maps, state.covariances, strict=True)):
-        found |= _prefixed(f"map{index}", _of_map(one))
+        found |= prefixed(f"map{index}", map_arrays(one))
         placed = np.asarray(lie.parameters(lie.as_numpy(covariance.pose_graph.poses)))
         found |= {f"map{index}.optimum": placed, f"map{index}.origin": covariance.origin}
-    found |= _prefixed("held", _of_closures(state.arrived.closures))
-    found |= _prefixed("waiting", _of_closures(state.waiting))
+    found |= prefixed("held", closure_arrays(state.arrived.closures))
+    found |= prefixed("waiting", closure_arrays(state.waiting))
     for (a, b), pair in state.pairs.items():
+        found[f"believed{a}-{b}"] = pair.believed
         if pair.clique is not None:
             found[f"pair{a}-{b}"] = np.packbits(pair.clique.dense(), axis=1)
     return found
@@ -104,17 +111,17 @@ def state_of(arrays: Arrays, meta: Mapping[str, Any], weighing: tuple[float, flo
     """The state that `arrays_of` gave."""
     maps, covariances = [], []
     for index, name in enumerate(meta["robots"]):
-        own = _within(f"map{index}", arrays)
-        given = _to_map(own, name)
+        own = those_of(f"map{index}", arrays)
+        given = map_of(own, name)
         maps.append(given)
         optimum = given.with_poses(given.group(own["optimum"]))
         covariances.append(MapCovariance(optimum, origin=own["origin"]))
     group = maps[0].group
-    held = _to_closures(_within("held", arrays), group)
+    held = closures_of(those_of("held", arrays), group)
     state = dataclasses.replace(
         State.of_maps(MultiRobotGraph(tuple(maps)), tuple(covariances), weighing),
         arrived=Arrived(held),
-        waiting=_to_closures(_within("waiting", arrays), group),
+        waiting=closures_of(those_of("waiting", arrays), group),
         repeated=meta["repeated"],
     )
     return dataclasses.replace(state, pairs=dict(_pairs(state, held, arrays)))
@@ -130,10 +137,12 @@ def _pairs(
         dense = np.unpackbits(packed, axis=1, count=len(packed)).view(np.bool_)
         pair = HeldPair((a, b), both, *state.weighing)
         pair.add(measured, indices, GrowingClique.of_graph(dense))
+        pair.believed = arrays[f"believed{a}-{b}"]
         yield (a, b), pair
 
 
-def _of_map(one: PoseGraph) -> Arrays:
+def map_arrays(one: PoseGraph) -> Arrays:
+    """A map as arrays by name; its own name is not among them."""
     found = {
         "poses": np.asarray(lie.parameters(lie.as_numpy(one.poses))),
         "tail": np.asarray(one.tail),
@@ -155,7 +164,8 @@ def _of_map(one: PoseGraph) -> Arrays:
     return found
 
 
-def _to_map(own: Arrays, name: str) -> PoseGraph:
+def map_of(own: Arrays, name: str) -> PoseGraph:
+    """The map that `map_arrays` gave."""
     group, priors = _group(own["information"].shape[-1]), None
     if "priors.pose" in own:
         priors = Priors(
@@ -178,14 +188,16 @@ def _to_map(own: Arrays, name: str) -> PoseGraph:
     )
 
 
-def _of_closures(closures: LoopClosures) -> Arrays:
+def closure_arrays(closures: LoopClosures) -> Arrays:
+    """Closures as arrays by name."""
     found = {name: np.asarray(getattr(closures, name)) for name in MEASURED}
     found["measurement"] = np.asarray(lie.parameters(lie.as_numpy(closures.measurement)))
     found["source"] = closures.source.astype(str)
     return found if closures.is_true is None else {**found, "is_true": closures.is_true}
 
 
-def _to_closures(own: Arrays, group: Any) -> LoopClosures:
+def closures_of(own: Arrays, group: Any) -> LoopClosures:
+    """The closures that `closure_arrays` gave."""
     return LoopClosures.from_checked(
         tuple(own[name] for name in MEASURED[:4]),
         group(own["measurement"]),
@@ -200,11 +212,13 @@ def _group(d: int) -> Any:
     return jaxlie.SE2 if d == 3 else jaxlie.SE3
 
 
-def _prefixed(prefix: str, arrays: Arrays) -> Arrays:
+def prefixed(prefix: str, arrays: Arrays) -> Arrays:
+    """The arrays by names that begin so."""
     return {f"{prefix}.{name}": array for name, array in arrays.items()}
 
 
-def _within(prefix: str, arrays: Arrays) -> Arrays:
+def those_of(prefix: str, arrays: Arrays) -> Arrays:
+    """The arrays that `prefixed` gave, by their own names."""
     start = f"{prefix}."
     return {
         name.removeprefix(start): array for name, array in arrays.items() if name.startswith(start)

@@ -14,7 +14,7 @@ from jaxtyping import Bool
 
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import MapCovariance
-from pcm_jax.online._arrivals import Arrived, has_poses
+from pcm_jax.online._arrivals import WAITS, Arrived, Identities, has_poses
 from pcm_jax.online._pair import HeldPair
 
 Robots = tuple[int, int]
@@ -32,6 +32,7 @@ class State:
         repeated: how many came that stated an earlier one again.
         pairs: by robots, those that closures join.
         weighing: gate, memory limit and metric of the pairs.
+        tolerance: how far distances may have moved for pairs to be left as they were judged.
     """
 
     maps: MultiRobotGraph
@@ -41,6 +42,7 @@ class State:
     repeated: int
     pairs: dict[Robots, HeldPair]
     weighing: tuple[float, float, Any]
+    tolerance: float = 0.0
 
     @classmethod
     def of_maps(
@@ -52,6 +54,13 @@ class State:
         """Maps without a closure."""
         none = LoopClosures.empty(maps.group)
         return cls(maps, covariances, Arrived(none), none, 0, {}, weighing)
+
+    def met(self) -> Identities:
+        """All closures held and waiting, by their names."""
+        found = Identities()
+        found.meet(self.arrived.closures, int)
+        found.meet(self.waiting, lambda _: WAITS)
+        return found
 
     def with_closures(self, closures: LoopClosures, waits: LoopClosures, repeated: int) -> State:
         """The state with further closures, none of them met before.
@@ -144,7 +153,7 @@ class State:
 
     def _current(self, pair: HeldPair) -> HeldPair:
         both = self._both(pair.robots)
-        return pair if pair.is_in(both) else pair.rebuilt(both)
+        return pair if pair.is_in(both) else pair.refreshed(both, self.tolerance)
 
     def _both(self, robots: Robots) -> tuple[MapCovariance, MapCovariance]:
         return self.covariances[robots[0]], self.covariances[robots[1]]

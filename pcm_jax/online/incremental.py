@@ -6,7 +6,7 @@ same rule, with the same certificate. What a step costs is what it changes:
     a closure comes     one row of Q; a search for a larger set that must hold it
     a closure goes      a search for a set as large, if it was in the largest
     odometry comes      nothing: distances between closures stay what they were
-    a loop in a map     that map's optimum, and the graphs of its pairs of robots, when next asked
+    a loop in a map     that map's optimum; when next asked, the pairs whose distance has moved
     the answer          chance, places and rivals of the pairs of robots that changed since
 
 Whatever is refused leaves everything as it was: a step is worked out first, and then taken.
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import deque
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -30,26 +31,26 @@ from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.graph.checked import as_weights
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.merging import MergeResult
-from pcm_jax.online._answer import EXACT, answer
+from pcm_jax.online._answer import answer, memory_limit, remember
 from pcm_jax.online._arrivals import (
-    NEW,
-    WAITS,
     Identities,
     as_rows,
     check_arrivals,
     check_queue,
+    named,
 )
-from pcm_jax.online._maps import checked_part, joined, robot_index, with_new
+from pcm_jax.online._maps import check_name, checked_part, grown_by, robot_index
+from pcm_jax.online._merged import merged_by
 from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
 from pcm_jax.online._state import State
+from pcm_jax.online._steady import MOST_LOGGED, Change
 from pcm_jax.pipeline.select import select
-from pcm_jax.pipeline.weigh import MEMORY_LIMIT, optimized_maps
+from pcm_jax.pipeline.weigh import optimized_maps
 from pcm_jax.selection import Selection
-from pcm_jax.selection.choose import needs_distances
 
 MOST_WAITING = 10_000
 """Closures that may wait for poses."""
-OF_MERGING = ("solver", "engine", "refine", "progress")
+FORM = "IncrementalPcm"
 
 
 class IncrementalPcm:
@@ -64,14 +65,18 @@ class IncrementalPcm:
     removed, those behind them move up, as in an array. One that states an earlier one again counts
     once (`repeated`); one that touches a pose that has not come yet waits for it (`waiting`).
 
-    A closure costs one row of Q and a search among those that agree with it. That is so for
-    Mahalanobis distances, and the search for `"pcm-exact"` where weights, ties by distance and
-    time limits do not decide: other methods and metrics of one's own are asked anew, with what
-    changed.
+    A closure costs one row of Q and a search among those that agree with it: with Mahalanobis
+    distances, and `"pcm-exact"` where weights, ties by distance and time limits do not decide.
+    Other methods and metrics of one's own are asked anew, with what changed.
 
     Args:
         graph: the robots' maps, and the closures that are known already.
         most_waiting: closures that may wait for poses.
+        hysteresis: the set believed so far stays, with what has come and agrees with all of it,
+            unless the method's has more than so many closures (weighs so much) more, see `_steady`.
+            0: the answer is that of `select`.
+        tolerance: how far a loop or other maps may move the distance (not squared) of two closures
+            that are then judged as before. 0: the answer is that of `select`.
         **options: as for `select`.
 
     Raises:
@@ -80,20 +85,32 @@ class IncrementalPcm:
 
     @on_host
     def __init__(
-        self, graph: MultiRobotGraph, *, most_waiting: int = MOST_WAITING, **options: Any
+        self,
+        graph: MultiRobotGraph,
+        *,
+        most_waiting: int = MOST_WAITING,
+        hysteresis: float = 0.0,
+        tolerance: float = 0.0,
+        **options: Any,
     ) -> None:
         check_class("graph", graph, "a MultiRobotGraph", MultiRobotGraph)
         check_number("most_waiting", most_waiting, least=0, integer=True)
+        check_number("hysteresis", hysteresis, least=0)
+        check_number("tolerance", tolerance, least=0)
         self._options, self._most_waiting = options, most_waiting
+        self._hysteresis, self._step = float(hysteresis), -1
+        self._log: deque[Change] = deque(maxlen=MOST_LOGGED)
         maps = dataclasses.replace(graph, closures=LoopClosures.empty(graph.group))
         started = select(maps, **options)
         self._names = started.method, started.confidence, started.gate
         self._metric, self._seconds = started.evidence.metric, dict(started.evidence.seconds)
         metric = options.get("metric") if callable(options.get("metric")) else None
-        weighing = started.gate, self._memory_limit(), metric
-        self._state = State.of_maps(maps, started.evidence.covariances, weighing)
+        weighing = started.gate, memory_limit(options), metric
+        state = State.of_maps(maps, started.evidence.covariances, weighing)
+        self._state = dataclasses.replace(state, tolerance=float(tolerance))
         self._identities: Identities | None = None
         self._graph: MultiRobotGraph | None = None
+        self._merged: MergeResult | None = None
         self._selection: Selection | None = None
         self.add(graph.closures)
 
@@ -127,6 +144,11 @@ class IncrementalPcm:
         """The number of closures that came and stated an earlier one again."""
         return self._state.repeated
 
+    @property
+    def log(self) -> tuple[Change, ...]:
+        """The last 10,000 closures that entered answers or left them by themselves, and why."""
+        return tuple(self._log)
+
     @on_host
     def add(self, closures: LoopClosures) -> Int[np.ndarray, " n"]:
         """Takes closures in.
@@ -147,20 +169,14 @@ class IncrementalPcm:
         state = self._state
         there = check_arrivals(state.maps.maps, closures)
         as_weights(closures.weight, len(closures))
-        known, self._identities = self._identities or self._met(), None
-        future = np.where(there, len(self) + np.cumsum(there) - 1, WAITS)
-        again = known.meet(closures, lambda row: int(future[row]))
-        new = again == NEW
-        if not new.all():  # those behind a repeated one get other names
-            known = self._met()
-            future[new & there] = len(self) + np.arange(int((new & there).sum()))
-            again = known.meet(closures, lambda row: int(future[row]))
+        known, self._identities = self._identities, None
+        names, new, known = named(closures, there, len(self), known, state.met)
         waits = closures[new & ~there]
         check_queue(len(state.waiting) + len(waits), self._most_waiting)
         state = state.with_closures(closures[new & there], waits, int((~new).sum()))
         self._take(state)
         self._identities = known
-        return np.where(new, future, again)
+        return names
 
     @on_host
     def remove(self, indices: Any) -> None:
@@ -210,16 +226,8 @@ class IncrementalPcm:
         index = robot_index(robot, self._state.maps.names)
         given, covariance = self._state.maps.maps[index], self._state.covariances[index]
         new = checked_part(given, poses, **part)
-        grown = joined(given, new)
-        placed = grown.with_poses(with_new(covariance.pose_graph.poses, new))
         settled = self._options.get("optimized", False)
-        odometry = new.is_odometry(given.num_poses) and not (settled and poses is not None)
-        if odometry:
-            covariance = covariance.extend(placed)
-        elif settled:
-            covariance = MapCovariance(grown)
-        else:
-            covariance = MapCovariance(optimized_maps((placed,), False, initial="given")[0])
+        grown, covariance, odometry = grown_by(given, covariance, new, settled=settled)
         maps, covariances = list(self._state.maps.maps), list(self._state.covariances)
         maps[index], covariances[index] = grown, covariance
         return self._move(tuple(maps), tuple(covariances), index if odometry else None)
@@ -251,21 +259,49 @@ class IncrementalPcm:
                 f"maps: {len(maps)} given, expected at least {len(before)}, one a robot"
             )
         given = dataclasses.replace(self.graph, maps=tuple(maps)).maps
-        covariances = list(self._state.covariances)
-        for index, one in enumerate(given):
-            same = index < len(before) and maps[index] is before[index]
-            if not same:
-                settled = self._options.get("optimized", False)
-                covariance = MapCovariance(optimized_maps((one,), settled)[0])
-                covariances[index : index + 1] = [covariance]
+        settled = self._options.get("optimized", False)
+        covariances = [
+            self._state.covariances[index]
+            if index < len(before) and maps[index] is before[index]
+            else MapCovariance(optimized_maps((one,), settled)[0])
+            for index, one in enumerate(given)
+        ]
         return self._move(given, tuple(covariances), None)
+
+    def add_robot(self, pose_graph: PoseGraph) -> int:
+        """Takes in the map of a robot that comes, behind those that are there.
+
+        Args:
+            pose_graph: its map. A name that is taken gets a number.
+
+        Returns:
+            its index.
+        """
+        check_class("pose_graph", pose_graph, "a PoseGraph", PoseGraph)
+        maps = self._state.maps.maps
+        self.replace_maps([*maps, pose_graph])
+        return len(maps)
+
+    @on_host
+    def rename(self, robot: int | str, name: str) -> None:
+        """Gives a robot another name; all else stays as it is.
+
+        Raises:
+            InputError: for a robot that does not exist, a name that is empty or taken.
+        """
+        index = robot_index(robot, self._state.maps.names)
+        check_name(index, name, self._state.maps.names)
+        maps, covariances = list(self._state.maps.maps), list(self._state.covariances)
+        maps[index] = dataclasses.replace(maps[index], name=name)
+        covariances[index] = covariances[index].renamed(name)
+        self._move(tuple(maps), tuple(covariances), index)
 
     @on_host
     def result(self) -> Selection:
         """The closures to believe: what `select` answers for `graph`.
 
-        Kept until something changes; of the pairs of robots only those that changed are judged
-        anew.
+        Kept until something changes; only pairs of robots that changed are judged anew. What was
+        accepted is tested again each time, and may leave: see `log`.
 
         Warns:
             InputWarning: as `select`.
@@ -273,11 +309,15 @@ class IncrementalPcm:
         if self._selection is None:
             self._state = self._state.current()
             told = self._metric, self._seconds
-            self._selection = answer(self._state, self.graph, self._options, self._names, *told)
+            of = self._state, self.graph, self._options, self._names, *told
+            self._selection = answer(*of, self._hysteresis)
+            self._log.extend(remember(self._state, self._selection, self._step))
         return self._selection
 
     def merge(self, **options: Any) -> MergeResult:
         """Merges the maps by the closures that are believed now, as `merge` of `graph` does.
+
+        Solves from where the last call ended, where that is the better start.
 
         Args:
             **options: `solver`, `engine`, `refine` and `progress` of `merge`.
@@ -285,24 +325,8 @@ class IncrementalPcm:
         Raises:
             InputError: as `merge`.
         """
-        from pcm_jax.pipeline import merge
-
-        selection = self.result()
-        for name in options:
-            if name not in OF_MERGING:
-                expected = ", ".join(OF_MERGING)
-                raise InputError(f"{name}: not an option of merge here, expected one of {expected}")
-        if options.get("refine") is not None:
-            options["confidence"] = selection.confidence
-        merged = merge(selection.evidence, accepted=selection.accepted, **options)
-        return dataclasses.replace(
-            merged,
-            selection=selection,
-            method=selection.method,
-            confidence=selection.confidence,
-            gate=selection.gate,
-            seconds=merged.seconds | selection.seconds,
-        )
+        self._merged = merged_by(self.result(), options, self._merged)
+        return self._merged
 
     @on_host
     def save(self, path: str | PathLike[str]) -> None:
@@ -321,8 +345,11 @@ class IncrementalPcm:
         options = options_to_save(self._options)
         self._state = self._state.current()
         meta = {
+            "form": FORM,
             "options": options,
-            "most_waiting": self._most_waiting,
+            "rule": (self._most_waiting, self._hysteresis, self._state.tolerance),
+            "step": self._step,
+            "log": [dataclasses.astuple(change) for change in self._log],
             "names": self._names,
             "metric": self._metric,
             "seconds": self._seconds,
@@ -343,29 +370,18 @@ class IncrementalPcm:
             FileFormatError: for a file of another kind or version, one cut short or changed.
             OSError: where it cannot be opened.
         """
-        meta, arrays = read(Path(path))
+        meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
-        online._options, online._most_waiting = meta["options"], meta["most_waiting"]
+        online._options, online._step = meta["options"], meta["step"]
+        online._most_waiting, online._hysteresis, tolerance = meta["rule"]
+        online._log = deque((Change(*each) for each in meta["log"]), maxlen=MOST_LOGGED)
         method, confidence, gate = meta["names"]
         online._names, online._metric = (method, confidence, gate), meta["metric"]
         online._seconds = meta["seconds"]
-        online._identities = online._graph = online._selection = None
-        online._state = state_of(arrays, meta, (gate, online._memory_limit(), None))
+        online._identities = online._graph = online._selection = online._merged = None
+        state = state_of(arrays, meta, (gate, memory_limit(meta["options"]), None))
+        online._state = dataclasses.replace(state, tolerance=tolerance)
         return online
-
-    def _memory_limit(self) -> float:
-        """Bytes for distances: any number of them where the method needs them, as for `select`."""
-        method = self._options.get("method", EXACT)
-        by = {name: self._options[name] for name in ("tie_break",) if name in self._options}
-        limit = self._options.get("memory_limit", MEMORY_LIMIT)
-        return np.inf if needs_distances(method, by) else limit
-
-    def _met(self) -> Identities:
-        """All closures held and waiting, by their names."""
-        met = Identities()
-        met.meet(self._state.arrived.closures, int)
-        met.meet(self._state.waiting, lambda _: WAITS)
-        return met
 
     def _move(
         self, maps: tuple[PoseGraph, ...], covariances: tuple[MapCovariance, ...], grown: int | None
@@ -379,3 +395,4 @@ class IncrementalPcm:
         if len(state.arrived) != len(self) or len(state.waiting) != len(self.waiting):
             self._identities = None
         self._state, self._graph, self._selection = state, None, None
+        self._step += 1

@@ -3,8 +3,9 @@
 stages   how long each step took, and what is told of it
 weigh    steps i and ii for every pair of robots: evidence
 select   step iii: the closures to believe
-_within_trials  one map's closures under several scales of odometry's errors
+within_trials  one map's closures under several scales of odometry's errors
 _within_recall  closures that the largest set leaves out and the cleaned map agrees with
+within_decision  the closures of one map to believe, from those
 within   all of it inside one robot's map: the loop closures to believe there
 _calibration_set  the closures that a calibration goes by
 calibrate  by how much odometry and closures misstate their errors

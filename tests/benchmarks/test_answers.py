@@ -11,6 +11,7 @@ from benchmarks import answers
 OPTIONS = ["--worlds", "4", "--groups", "SE2", "--drifts", "1", "64"]
 
 
+@pytest.mark.slow
 def test_table_and_resuming(tmp_path, capsys, monkeypatch):
     assert answers.main([*OPTIONS, "--out", str(tmp_path)]) == 0
     summary = json.loads((tmp_path / "summary.json").read_text())

@@ -33,6 +33,7 @@ def results(folder, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_figures_of_a_labelled_set(results):
     """PCM accepts what is true alone; everything is all of both, and metres away."""
     summary = json.loads((results / "summary.json").read_text())["city.jrl"]

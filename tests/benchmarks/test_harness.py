@@ -65,6 +65,7 @@ def test_what_is_done_is_kept_until_the_sources_change(settings, monkeypatch):
     assert log_of(settings) == ["one", "two", "one"]
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_stopped(settings):
     program = [sys.executable, tiny_cases.__file__, str(settings.data)]
     killed = subprocess.run(program, capture_output=True, check=False)

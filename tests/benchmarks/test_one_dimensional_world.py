@@ -107,6 +107,7 @@ def test_a_row_of_the_sweep_is_what_the_histograms_say():
         assert row[f"{method.replace('-', '_')}_same_size"] == pytest.approx(100 * same / 150, 1e-3)
 
 
+@pytest.mark.slow
 def test_timing_ends_where_methods_give_up(tmp_path, monkeypatch):
     monkeypatch.setattr(solver_timing, "BATCHED_UP_TO", 12)
     options = ("--timing", "--worlds", "100", "--sizes", "12", "20", "28", "--time-limit", "60")

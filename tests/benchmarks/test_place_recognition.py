@@ -150,6 +150,7 @@ def test_what_is_not_there(square_walk_files, tmp_path, capsys):
     assert "'x' given, expected some of" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_strictest_real_candidates(shared_data):
     candidates = drives.load(shared_data, "kitti_00_alpha_1.00")
     selection = select_within(candidates.graph)

@@ -91,6 +91,7 @@ def test_gtsam_needs_no_jax_for_a_plain_graph():
     assert done.stdout.strip() == "False"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory is read from /proc")
 def test_memory_of_one_solve(tmp_path):
     graph = random_map(jaxlie.SE2, np.random.default_rng(3), poses=300, loops=100)
@@ -131,6 +132,7 @@ def test_random_worlds_are_drawn_with_the_covariance_they_state(group):
     assert len(np.unique(closures.pose_a)) == len(np.unique(closures.pose_b)) == 50
 
 
+@pytest.mark.slow
 def test_a_row_without_data_or_peer_says_why(tmp_path, monkeypatch, capsys):
     arguments = ["--quick", "--only", "end_to_end/spoiled", "--data", str(tmp_path / "nothing")]
     assert main([*arguments, "--out", str(tmp_path / "out")]) == 0

@@ -85,6 +85,7 @@ def test_nothing_to_calibrate_by(run, tmp_path):
     assert "no map has a loop" in ran.err
 
 
+@pytest.mark.slow
 def test_a_calibrated_merge_keeps_what_one_as_stated_cannot(run, city, tmp_path):
     """Deviations stated ten times too small: right closures contradict each other."""
     graph, sure = read_graph(city / "graph.g2o"), tmp_path / "sure.g2o"
@@ -111,6 +112,7 @@ def test_a_calibrated_merge_keeps_what_one_as_stated_cannot(run, city, tmp_path)
     assert found["interval"][0] < 0.01 < found["interval"][1]
 
 
+@pytest.mark.slow
 def test_a_merge_tells_its_calibration(run, city, tmp_path):
     report = tmp_path / "report.json"
     ran = run("merge", city / "graph.g2o", "--calibrate", "--report", report)

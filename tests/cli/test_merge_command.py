@@ -279,6 +279,7 @@ def test_json_has_no_numbers_that_json_lacks():
     assert json.loads(text) == {"cost": None, "rows": [1.5, None, {"x": None}], "n": 3}
 
 
+@pytest.mark.slow
 def test_a_process_without_64_bit_types_gives_the_same_numbers(report, city, tmp_path):
     """`python -m pcm_jax`, in an environment that turns 64-bit types off."""
     command = [sys.executable, "-m", "pcm_jax", "merge", str(city / "graph.g2o")]

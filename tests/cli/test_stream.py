@@ -11,11 +11,13 @@ import time
 import numpy as np
 import pytest
 
-from pcm_jax.cli.stream import in_order
+from pcm_jax.cli._drives import OneRobot, in_order, loops_in_order
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph, write_g2o
-from pcm_jax.online import IncrementalPcm
-from pcm_jax.pipeline import select
+from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.online import IncrementalPcm, IncrementalWithin
+from pcm_jax.pipeline import select, select_within
+from pcm_jax.simulation import simulate_city
 
 
 def lines_of(ran):
@@ -103,3 +105,90 @@ def test_bad_options(run, city, options, words):
     assert ran.status == 2
     assert ran.err.startswith("error: ") and ran.err.count("\n") == 1
     assert words in ran.err
+
+
+@pytest.fixture(scope="module")
+def one_robot():
+    return simulate_city(seed=3, poses=120).graph.maps[0]
+
+
+@pytest.fixture(scope="module")
+def one_robots_file(one_robot, tmp_path_factory):
+    path = tmp_path_factory.mktemp("one") / "robot.g2o"
+    write_g2o(path, MultiRobotGraph((one_robot,)))
+    return path
+
+
+def test_one_robot_ends_with_the_answer_within_its_map(run, one_robots_file, tmp_path):
+    state = tmp_path / "state.npz"
+    options = ["--json", "--minimum-inliers", "3", "--save", state]
+    *changes, end = lines_of(run("stream", one_robots_file, *options))
+    given = read_graph(one_robots_file).maps[0]
+    batch = select_within(given, minimum_inliers=3)
+    believed = set()
+    for line in changes:
+        assert line["event"] == "changed"
+        believed |= {one["source"] for one in line["entered"]}
+        believed -= {one["source"] for one in line["left"]}
+        assert len(believed) == line["accepted"]
+    accepted = batch.closures[batch.accepted]
+    assert believed == set(given.source[accepted]) and len(changes) > 3
+    assert (end["event"], end["closures"]) == ("end", len(batch.closures))
+    assert (end["why"], end["odometry_scale"]) == (batch.verdict.why, 1.0)
+    first = changes[0]["entered"][0]
+    row = batch.closures[first["index"]]
+    assert (first["a"], first["b"]) == (
+        given.pose_name(int(given.tail[row])),
+        given.pose_name(int(given.head[row])),
+    )
+    loaded = IncrementalWithin.load(state)
+    np.testing.assert_array_equal(loaded.result().accepted, batch.accepted)
+
+
+def test_one_robot_in_words(run, one_robots_file):
+    changed, end, why = run("stream", one_robots_file, "--every", "99").out.splitlines()
+    count = len(select_within(read_graph(one_robots_file).maps[0]).closures)
+    assert changed.startswith(f"{count} closures, ") and changed.endswith(" −0)")
+    assert end.startswith(f"end: {count} closures, ") and "agree with each other and odo" in why
+
+
+def test_one_robots_closures_come_with_the_later_of_their_poses(one_robot):
+    lines = loops_in_order(one_robot, "auto")
+    np.testing.assert_array_equal(lines, loops_in_order(one_robot, "lines"))
+    with pytest.raises(InputError, match=r"pose a\d+ of edge \d+ has no time"):
+        loops_in_order(one_robot, "stamps")
+    later = dataclasses.replace(one_robot, stamps=-1.0 * np.arange(one_robot.num_poses))
+    found = loops_in_order(later, "stamps")
+    assert sorted(found) == sorted(lines)
+    assert (np.diff(np.minimum(one_robot.tail, one_robot.head)[found]) <= 0).all()
+
+
+def test_one_robot_without_a_loop_is_told(run, one_robot, tmp_path):
+    path = tmp_path / "chain.g2o"
+    step = np.abs(one_robot.tail - one_robot.head) == 1
+    write_g2o(path, MultiRobotGraph((one_robot.with_edges(step),)))
+    ran = run("stream", path)
+    assert ran.status == 2 and "one robot, expected at least two" in ran.err
+
+
+def test_one_robots_file_that_grows(one_robot):
+    graph = MultiRobotGraph((one_robot,))
+    size = 80
+    early = np.maximum(one_robot.tail, one_robot.head) < size
+    begun = dataclasses.replace(
+        one_robot.with_edges(early),
+        poses=type(one_robot.poses)(np.asarray(one_robot.poses.unit_complex_xy)[:size]),
+        ids=one_robot.ids[:size],
+    )
+    drive = OneRobot(MultiRobotGraph((begun,)), {})
+    for arrives in drive.arrivals(MultiRobotGraph((begun,)), "lines"):
+        arrives()
+    before = len(drive.online)
+    drive.go_on(graph)
+    for arrives in drive.arrivals(graph, "lines"):
+        arrives()
+    batch = select_within(one_robot)
+    assert (drive.online.repeated, len(drive.online)) == (before, len(batch.closures))
+    assert drive.online.result().accepted.sum() == batch.accepted.sum()
+    with pytest.raises(InputError, match="robot 'b' came, expected one robot"):
+        drive.go_on(MultiRobotGraph((one_robot, dataclasses.replace(one_robot, name="b"))))

@@ -73,6 +73,7 @@ def test_an_interrupted_search_says_what_it_had_found(monkeypatch, capsys):
     assert re.fullmatch(r"interrupted: a clique of \d\d was found, none has \d+\n", told)
 
 
+@pytest.mark.slow
 def test_names_that_standard_output_cannot_encode(tmp_path):
     path = tmp_path / "u.g2o"
     path.write_text(EDGES + "# pcm_jax robot - id Z\u00fcrich\n", encoding="utf-8")

@@ -39,8 +39,10 @@ def test_equals_the_batch_whenever_asked(seed):
 
 
 @pytest.mark.parametrize("steps", [0, 1, 3])
-def test_what_is_left_undecided_is_decided_when_asked(monkeypatch, steps):
+@pytest.mark.parametrize("searched", [5, 400])
+def test_what_is_left_undecided_is_decided_when_asked(monkeypatch, steps, searched):
     monkeypatch.setattr(growing, "STEPS", steps)
+    monkeypatch.setattr(growing, "SEARCHED", searched)
     for seed in range(15):
         *_, (found, graph) = random_steps(seed, 0.7, 0.2, 45)
         batch = maximum_clique(graph)
@@ -93,3 +95,37 @@ def test_a_step_costs_a_bounded_search():
     for count in range(150):
         found.add(generator.random(count) < 0.9)
     assert " to " in repr(found)
+
+
+def test_the_largest_with_its_certificate():
+    for seed in range(10):
+        for found, graph in random_steps(seed, 0.7, 0.2, 30):
+            if len(graph) % 3 == 0:
+                batch, largest = maximum_clique(graph), found.largest(60.0)
+                np.testing.assert_array_equal(largest.members, batch.members)
+                certificate = largest.size, largest.optimal, largest.upper_bound
+                assert certificate == (batch.size, True, batch.size)
+
+
+def test_a_time_limit_gives_the_best_known_and_a_bound(monkeypatch):
+    monkeypatch.setattr(growing, "STEPS", 0)
+    *_, (found, graph) = random_steps(2, 0.8, 0.0, 60)
+    early = found.largest(0.0)
+    members = np.flatnonzero(early.members)
+    assert graph[np.ix_(members, members)].sum() == len(members) * (len(members) - 1)
+    batch = maximum_clique(graph)
+    assert not early.optimal and early.size <= batch.size <= early.upper_bound
+    np.testing.assert_array_equal(found.largest(60.0).members, batch.members)
+    np.testing.assert_array_equal(found.first(), batch.members)
+
+
+def test_a_clique_grows_by_an_exchange(monkeypatch):
+    """The new vertex disagrees with one of those in hand; another one outside takes its place."""
+    monkeypatch.setattr(growing, "SEARCHED", 0)
+    found = GrowingClique()
+    for row in ([], [1], [1, 1], [1, 1, 0]):
+        found.add(np.array(row, bool))
+    assert repr(found) == "GrowingClique(4 vertices, largest clique 3)"
+    found.add(np.array([1, 1, 0, 1], bool))
+    assert repr(found) == "GrowingClique(5 vertices, largest clique 4)"
+    np.testing.assert_array_equal(np.flatnonzero(found.first()), [0, 1, 3, 4])

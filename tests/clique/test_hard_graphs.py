@@ -52,6 +52,7 @@ def _with_size():
     return [(graph, 10) for graph in consistency_like(20, 64, seed=3)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("peer", PEERS)
 def test_a_peer_finds_as_many_or_is_ended(peer):
     if not installed(peer):

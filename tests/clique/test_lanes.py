@@ -141,6 +141,7 @@ def test_only_cliques_with_a_member_among_some_are_looked_for(monkeypatch, runs)
     assert runs
 
 
+@pytest.mark.slow
 def test_wherever_time_runs_out_larger_cliques_are_inside_what_is_unsettled(monkeypatch, runs):
     adjacency = random_graph(70, 0.7, 4)
     size, graph = maximum_clique(adjacency).size, BitGraph(adjacency)

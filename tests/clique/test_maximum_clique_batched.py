@@ -40,6 +40,7 @@ def random_graphs(count: int, size: int, seed: int, densest: float = 1.0) -> np.
 THOUSANDS = random_graphs(3000, 12, 0)
 
 
+@pytest.mark.slow
 def test_thousands_of_small_graphs():
     assert_same_as_one_by_one(THOUSANDS)
 
@@ -61,6 +62,7 @@ def test_hubs_in_sparse_surroundings():
     assert_same_as_one_by_one(upper | upper.transpose(0, 2, 1))
 
 
+@pytest.mark.slow
 def test_padded_planted_random_empty_and_complete_graphs_of_64_nodes():
     graphs = np.zeros((603, 64, 64), bool)
     for seed, graph in enumerate(graphs[:400]):
@@ -73,6 +75,7 @@ def test_padded_planted_random_empty_and_complete_graphs_of_64_nodes():
     assert np.flatnonzero(search(graphs).members[601]).tolist() == list(range(0, 64, 4))
 
 
+@pytest.mark.slow
 def test_without_64_bit_types():
     """Two words a set, as many as a set of 130 has with them."""
     graphs = random_graphs(200, 40, 6, 0.8)

@@ -118,6 +118,7 @@ def test_time_limit_holds_for_the_choice_among_equals(clock):
     assert clique.size == 40
 
 
+@pytest.mark.slow
 def test_bound_of_an_unfinished_search_lies_between_the_answer_and_the_degrees(clock):
     adjacency = planted_graph(300, 20, 0.8, 1)
     first = maximum_clique(adjacency, time_limit=0)

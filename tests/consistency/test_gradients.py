@@ -16,7 +16,7 @@ from pcm_jax.lie import unrolled
 pytestmark = pytest.mark.slow
 
 
-COUNT = 12
+COUNT = 20
 LIE = ("measurement", "pose_a", "pose_b")
 COVARIANCES = ("measurement_covariance", "relative_covariance_a", "relative_covariance_b")
 INPUTS = (*LIE, *COVARIANCES)
@@ -110,6 +110,38 @@ def test_derivatives_are_those_of_differences(case, name):
     np.testing.assert_allclose(reverse, (4.0 * slope(h / 2) - slope(h)) / 3.0, rtol=1e-6)
 
 
+def everywhere(problem):
+    """A random direction in every input at once."""
+    rng = np.random.default_rng(6)
+    direction = {}
+    for name, leaf in still(problem).items():
+        along = rng.normal(size=leaf.shape)
+        if name == "measurement_covariance":
+            along += along.swapaxes(-1, -2)
+        direction[name] = jnp.asarray(1e-3 * along if name in COVARIANCES else along)
+    return direction
+
+
+def by_gradient_and_difference(problem, weights, h):
+    """The derivative along that direction, two ways."""
+    at, direction = still(problem), everywhere(problem)
+    _, _, gradient = both_modes(problem, weights, at, direction)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+    ahead, behind = (
+        both_modes(problem, weights, {k: t * v for k, v in direction.items()}, at)[0]
+        for t in (h, -h)
+    )
+    slope = sum(float(jnp.vdot(gradient[name], direction[name])) for name in direction)
+    return slope, float(ahead - behind) / (2 * h)
+
+
+def test_every_input_at_once(case):
+    problem, weights = case
+    slope, difference = by_gradient_and_difference(problem, weights, 1e-5)
+    assert abs(slope) > 1e-3
+    np.testing.assert_allclose(slope, difference, rtol=1e-6)
+
+
 def test_at_zero_error_and_zero_rotation(case):
     """q² has its minimum, zero: every derivative is zero, and finite."""
     problem, weights = case
@@ -121,6 +153,25 @@ def test_at_zero_error_and_zero_rotation(case):
     np.testing.assert_allclose(forward, 0.0, atol=1e-8)
     for leaf in jax.tree.leaves(gradient):
         np.testing.assert_allclose(leaf, 0.0, atol=1e-8)
+    slope, difference = by_gradient_and_difference(exact, weights, 1e-6)
+    np.testing.assert_allclose(slope, 0.0, atol=1e-9)
+    np.testing.assert_allclose(difference, 0.0, atol=1e-6)
+
+
+def test_at_zero_error_and_any_rotation(case):
+    problem, weights = case
+    world = worlds.random_world(lie.group_of(problem.measurement), seed=1, count=COUNT)
+    map_a, map_b, closures = world
+    ends = [
+        lie.take(lie.as_numpy(graph.poses), np.asarray(rows))
+        for graph, rows in ((map_a, closures.pose_a), (map_b, closures.pose_b))
+    ]
+    exact = dataclasses.replace(closures, measurement=lie.as_device(lie.between(*ends)))
+    exact = consistency_problem(map_a, map_b, exact, marginals=worlds.marginals_of(*world))
+    assert np.asarray(squared_mahalanobis(exact)).max() < 1e-20
+    slope, difference = by_gradient_and_difference(exact, weights, 1e-6)
+    np.testing.assert_allclose(slope, 0.0, atol=1e-9)
+    np.testing.assert_allclose(difference, 0.0, atol=1e-6)
 
 
 def test_padding_changes_nothing(case):

@@ -79,6 +79,7 @@ def test_the_origin_does_not_matter(group):
     )
 
 
+@pytest.mark.slow
 def test_two_closures_have_the_distance_of_the_paper(group):
     """To first order in the errors; of single closures, their alignments' difference exactly."""
     maps, closures, _, _, evidence = world_of(group, 1, sigma=1e-4)
@@ -160,6 +161,7 @@ def test_right_closures_have_uniform_p_values(drawn):
     assert kstest(halves, "uniform").pvalue > 0.01
 
 
+@pytest.mark.slow
 def test_alignments_covariance_is_calibrated(drawn):
     dof, joint, _ = drawn
     d = dof // 4

@@ -32,6 +32,7 @@ def worst(problem, single):
     return (np.abs(found.astype(float) - exact) / np.maximum(exact, d)).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1.0, 10.0])
 def test_well_conditioned_distances_keep_three_digits(group, scale):
     problem = stretched(group, scale)

@@ -92,6 +92,7 @@ def test_the_gauge_does_not_matter(world, squared):
     assert_same(squared_mahalanobis(consistency_problem(*world, marginals=other)), squared, 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "tolerance"), [(1.0, 1e-10), (1e5, 1e-7)])
 def test_the_maps_frames_do_not_matter(world, squared, distance, tolerance):
     """Each map moved and turned on its own; at 100 km the poses themselves keep 1e-11 m."""
@@ -153,6 +154,7 @@ def test_a_problem_of_any_size():
     assert_same(found, np.asarray(squared_mahalanobis(problem))[:149, :149], 1e-11)
 
 
+@pytest.mark.slow
 def test_inside_jit_padding_is_infinite(problem, squared):
     padded = np.asarray(jax.jit(squared_mahalanobis)(problem))
     assert_same(padded[:COUNT, :COUNT], squared, 1e-12)
@@ -178,71 +180,7 @@ def test_vmap_over_robot_pairs(world):
         assert_same(found[row, :n, :n], squared_mahalanobis(one), 1e-11)
 
 
-def moved_problem(problem, step):
-    """The problem with some of its fields moved: Lie ones on the right, others additively."""
-    changes = {}
-    for name, delta in step.items():
-        value = getattr(problem, name)
-        if isinstance(value, jaxlie.MatrixLieGroup):
-            changes[name] = lie.compose(value, lie.exp(lie.group_of(value), delta))
-        else:
-            changes[name] = value + delta
-    return dataclasses.replace(problem, **changes)
-
-
-@pytest.fixture(scope="module")
-def slopes(problem):
-    """A random direction in every input at once, and the derivative along it, two ways."""
-    size, d = problem.measurement_covariance.shape[:2]
-    rng = np.random.default_rng(6)
-    weights = jnp.asarray(rng.uniform(size=(COUNT, COUNT)))
-    symmetric = rng.normal(size=(size, d, d))
-    direction = {
-        "measurement": rng.normal(size=(size, d)),
-        "pose_a": rng.normal(size=(size, d)),
-        "pose_b": rng.normal(size=(size, d)),
-        "measurement_covariance": 1e-3 * (symmetric + symmetric.swapaxes(-1, -2)),
-        "relative_covariance_a": 1e-3 * rng.normal(size=problem.relative_covariance_a.shape),
-        "relative_covariance_b": 1e-3 * rng.normal(size=problem.relative_covariance_b.shape),
-    }
-
-    def value(step, at):
-        return jnp.sum(weights * squared_mahalanobis(moved_problem(at, step))[:COUNT, :COUNT])
-
-    gradient_of = jax.jit(jax.grad(value))
-    along = jax.jit(lambda t, at: value(jax.tree.map(lambda leaf: t * leaf, direction), at))
-
-    def by_gradient(at):
-        gradient = gradient_of(jax.tree.map(jnp.zeros_like, direction), at)
-        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-        return sum(float(jnp.vdot(gradient[name], direction[name])) for name in direction)
-
-    def by_difference(at, h):
-        return float(along(h, at) - along(-h, at)) / (2 * h)
-
-    return by_gradient, by_difference
-
-
 @pytest.mark.slow
-def test_gradients(problem, slopes):
-    by_gradient, by_difference = slopes
-    np.testing.assert_allclose(by_gradient(problem), by_difference(problem, 1e-5), rtol=1e-6)
-
-
-def test_gradients_at_zero_error(world, problem, slopes):
-    map_a, map_b, closures = world
-    ends = [
-        lie.take(lie.as_numpy(graph.poses), np.asarray(rows))
-        for graph, rows in ((map_a, closures.pose_a), (map_b, closures.pose_b))
-    ]
-    exact = dataclasses.replace(closures, measurement=lie.as_device(lie.between(*ends)))
-    exact = consistency_problem(map_a, map_b, exact, marginals=worlds.marginals_of(*world))
-    assert np.asarray(squared_mahalanobis(exact)).max() < 1e-20
-    by_gradient, by_difference = slopes
-    np.testing.assert_allclose(by_gradient(exact), 0.0, atol=1e-9)
-    np.testing.assert_allclose(by_difference(exact, 1e-6), 0.0, atol=1e-6)
-
-
 def test_gradients_where_only_some_inputs_are_traced():
     """`valid` is concrete then, so the padding is cut and cannot make the sum infinite."""
     problem = consistency_problem(*worlds.random_world(jaxlie.SE2, seed=9))
@@ -267,6 +205,7 @@ def test_kernel_names(problem):
         squared_mahalanobis(problem, kernel="fast")
 
 
+@pytest.mark.slow
 def test_rows_are_what_new_closures_add(world):
     problem = consistency_problem(*world)
     squared = np.asarray(squared_mahalanobis(problem))

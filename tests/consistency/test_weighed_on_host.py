@@ -9,6 +9,7 @@ from pcm_jax.consistency import weighed_on_host
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("simulate", [simulate_city, simulate_sessions])
 def test_equals_the_compiled_kernel(simulate, monkeypatch):
     world = simulate(seed=3, poses=40, inliers=6, aliased_groups=0, random=90)

@@ -172,6 +172,7 @@ def test_relative_map_pose_by_hand():
     assert np.allclose(metrics.relative_map_pose_error(moved, truth), error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
 def test_all_errors_can_be_jitted_and_mapped(group):
     truth, estimate = random_poses(group, 8, 1), random_poses(group, 8, 2)

@@ -51,6 +51,7 @@ def test_rows_are_what_the_host_finds(whole):
             }
 
 
+@pytest.mark.slow
 def test_methods_do_what_they_should(whole):
     frame = {name: np.array(whole[name].to_pylist()) for name in whole.column_names}
     wide = frame["confidence"] == 0.99
@@ -65,6 +66,7 @@ def test_methods_do_what_they_should(whole):
     assert (narrow < wide).mean() > 0.3
 
 
+@pytest.mark.slow
 def test_a_stopped_sweep_goes_on(whole, tmp_path):
     """By a process that is killed, and in batches of another size: test_several_devices."""
 
@@ -87,6 +89,7 @@ def test_a_stopped_sweep_goes_on(whole, tmp_path):
     small_sweep(tmp_path, progress=stop)  # nothing is left to do
 
 
+@pytest.mark.slow
 def test_holes_are_filled_and_worlds_added(whole, tmp_path):
     small_sweep(tmp_path, worlds=64)
     small_sweep(tmp_path, worlds=WORLDS)

@@ -24,6 +24,7 @@ def best(squared):
     return clique.size, squared[np.ix_(clique.members, clique.members)].sum() / 2
 
 
+@pytest.mark.slow
 def test_it_is_the_share_of_all_orders():
     """Seven closures: all 5040 orders are weighed, and p is the share that reaches the mark."""
     pair, _ = evidence_of("SE2", 2, 3, 4, loose=True)

@@ -163,6 +163,7 @@ def test_closures_are_selected_where_none_are_given(city, misstated):
         assert 0.6 < factor / stated < 1.6
 
 
+@pytest.mark.slow
 def test_far_too_small_deviations_widen_the_gate(city):
     """A tenth of the deviations: two right closures hardly ever agree as stated."""
     sure = scaled_graph(city.graph, np.full(4, 100.0))

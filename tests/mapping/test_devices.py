@@ -97,9 +97,10 @@ def elsewhere(world, tmp_path_factory):
     folder = tmp_path_factory.mktemp("eight")
     given = jax.tree.map(np.asarray, (world, WEIGHTS))
     (folder / "given.pickle").write_bytes(pickle.dumps(given))
+    flags = os.environ.get("XLA_FLAGS", "")
     environment = {k: v for k, v in os.environ.items() if k != "JAX_ENABLE_X64"} | {
         "JAX_PLATFORMS": "cpu",
-        "XLA_FLAGS": "--xla_force_host_platform_device_count=8",
+        "XLA_FLAGS": f"{flags} --xla_force_host_platform_device_count=8",
         ALWAYS: "always",
     }
     done = subprocess.run(

@@ -83,6 +83,7 @@ def test_the_cost_is_recomputed_from_the_returned_poses(group, make_map):
     np.testing.assert_allclose(solution.cost, again, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_cost_follows_the_chi_squared_law(group, make_map):
     """2 cost ~ χ² with rows − columns degrees of freedom, over 60 worlds of matched noise."""
     from scipy.stats import chi2
@@ -309,6 +310,7 @@ def test_maps_of_different_sizes_share_a_compilation(make_map):
     assert len(compiled) == made, f"{made - before} while making the map"
 
 
+@pytest.mark.slow
 def test_float64_without_the_users_setting_and_on_one_core():
     """Also a check against deadlock: a callback that JAX must copy for hangs on one core."""
     program = """

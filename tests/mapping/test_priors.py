@@ -171,6 +171,7 @@ def _relative(graph):
     return jacobian @ joint @ jacobian.T
 
 
+@pytest.mark.slow
 def test_the_cost_follows_the_chi_squared_law(group, make_map):
     """With as many degrees of freedom as `freedom_added` says, over 60 worlds."""
     from scipy.stats import chi2

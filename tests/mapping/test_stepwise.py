@@ -74,6 +74,7 @@ def test_a_start_without_a_cost_is_no_optimum(pose_graph, monkeypatch):
     assert not ours.converged and not compiled.converged
 
 
+@pytest.mark.slow
 def test_equal_solves_give_equal_bits(pose_graph):
     first, *others = (
         lie.parameters(lie.as_numpy(optimize(pose_graph).graph.poses)) for _ in range(200)

@@ -292,9 +292,9 @@ def test_structure_may_differ_within_a_batch(three, batch):
 
 
 def test_more_structures_than_are_kept(monkeypatch):
-    """Eleven hundred in a batch, each with a closure elsewhere, and a cache of a thousand."""
-    monkeypatch.setattr(registry.systems, "_size", 1000)
-    side, count = 34, 1100
+    """A hundred and ten in a batch, each with a closure elsewhere, and a cache of a hundred."""
+    monkeypatch.setattr(registry.systems, "_size", 100)
+    side, count = 11, 110
     pose = np.arange(side)
     line = lie.exp(jaxlie.SE2, pose[:, None] * np.array([1.0, 0.0, 0.0]))
     edges = {"sigma_translation": 0.1, "sigma_rotation": 0.01}

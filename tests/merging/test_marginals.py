@@ -76,6 +76,7 @@ def test_robots_apart_have_frames_of_their_own(result):
     assert not apart.anchor_covariance_at_middle.any()
 
 
+@pytest.mark.slow
 def test_merged_poses_errors_have_their_covariance():
     """NEES over a few worlds: joint of three poses, and of the anchor about the middle."""
     squared, at_middle = [], []

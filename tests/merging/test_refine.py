@@ -270,6 +270,7 @@ def test_gnc_finds_the_known_minimum(group):
     assert 2.0 * result.solution.cost + gate * 3 == pytest.approx(costs[least], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_gnc_drops_a_false_closure_that_was_accepted(group):
     world = world_of(group, seed=2)
     wrong = np.flatnonzero(~world.is_true)[-1]

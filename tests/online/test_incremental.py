@@ -69,6 +69,7 @@ def test_in_any_order_it_ends_with_the_batch(graph, seed):
     assert_same_answer(online.result(), select(shuffled))
 
 
+@pytest.mark.slow
 def test_a_real_set_in_random_order(shared_data):
     """Four robots of Argos, half of the closures of every pair spoiled."""
     given = read_graph(*sorted((shared_data / RDM).glob("*.g2o.xz")))
@@ -104,6 +105,7 @@ def test_other_methods_and_metrics_are_asked_anew(graph, options):
     assert_same_answer(online.result(), select(online.graph, **options))
 
 
+@pytest.mark.slow
 def test_weights_decide_as_in_the_batch(graph):
     weight = np.random.default_rng(0).uniform(0.0, 2.0, len(graph.closures))
     weighted = dataclasses.replace(
@@ -211,6 +213,7 @@ def test_the_queue_is_bounded(graph):
     assert online.add(graph.closures[[1]]).tolist() == [-1]
 
 
+@pytest.mark.slow
 def test_odometry_leaves_distances_alone(graph, monkeypatch):
     online = IncrementalPcm(graph)
     before = online.result()
@@ -230,6 +233,7 @@ def test_odometry_leaves_distances_alone(graph, monkeypatch):
     assert_same_answer(after, select(online.graph))
 
 
+@pytest.mark.slow
 def test_a_loop_weighs_its_maps_pairs_again(graph, monkeypatch):
     maps = (begun(graph.maps[0], 60).with_edges(np.arange(59)), *graph.maps[1:])
     online = IncrementalPcm(dataclasses.replace(graph, maps=maps))
@@ -274,6 +278,7 @@ def test_merged_as_the_batch_merges(graph, online, refine):
         online.merge(method="dcs")
 
 
+@pytest.mark.slow
 def test_a_step_that_fails_leaves_all_as_it_was(graph, monkeypatch):
     online = IncrementalPcm(dataclasses.replace(graph, closures=graph.closures[:40]))
     before, told = online.result(), repr(online)
@@ -422,6 +427,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_killed_while_saving_the_last_state_loads(online, tmp_path):
     path = tmp_path / "state.npz"
     online.save(path)
@@ -441,3 +447,54 @@ def test_a_state_shares_what_did_not_change(graph, online):
     assert after.pairs[0, 2] is before.pairs[0, 2]
     assert after.pairs[0, 1] is not before.pairs[0, 1]
     assert len(before.pairs[0, 1]) + 1 == len(after.pairs[0, 1])
+
+
+def moving(graph, factor):
+    """The maps after one edge in the middle of the first is measured more finely."""
+    one = graph.maps[0]
+    information = np.array(one.information)
+    information[40] *= factor
+    return [dataclasses.replace(one, information=information), *graph.maps[1:]]
+
+
+@pytest.mark.parametrize("factor", [1.001, 1.2, 3.0])
+def test_only_what_moved_is_measured_anew(graph, monkeypatch, factor):
+    online = IncrementalPcm(graph, tolerance=0.1)
+    online.result()
+    rebuilt = counting(monkeypatch, _pair.HeldPair, "rebuilt")
+    rows = counting(monkeypatch, _pair.GrowingPair, "agreeing")
+    was = {robots: pair._growing for robots, pair in online._state.pairs.items()}
+    online.replace_maps(moving(online.graph, factor))
+    found, measured = online.result(), len(rows)
+    plain = IncrementalPcm(online.graph)
+    for robots, pair in plain._state.pairs.items():
+        moved = was[robots].moved_to(pair._growing)
+        squared = pair.evidence().squared
+        before = select(graph).pairs[sorted(plain._state.pairs).index(robots)].evidence.squared
+        near = np.minimum(before, squared) <= pair.gate
+        apart = np.abs(np.sqrt(before) - np.sqrt(squared))[near]
+        bound = (moved[:, None] + moved[None])[near]
+        assert (apart <= 1.05 * bound + 1e-9).all()
+        assert robots[0] == 0 or moved.max() < 1e-6
+    assert_same_answer(found, select(online.graph))
+    pairs = [pair.robots for pair, _ in rebuilt]
+    assert (1, 2) not in pairs and (len(rebuilt) == 0) == (factor == 1.001)
+    assert (measured == 0) == (factor == 1.001)
+
+
+def test_few_that_moved_are_measured_row_by_row(graph, monkeypatch):
+    online = IncrementalPcm(graph, tolerance=1e-3)
+    online.result()
+    monkeypatch.setattr(_pair, "MOST_MOVED", 1.0)
+    monkeypatch.setattr(_pair.HeldPair, "rebuilt", pytest.fail)
+    rows = counting(monkeypatch, _pair.GrowingPair, "agreeing")
+    online.replace_maps(moving(online.graph, 3.0))
+    assert_same_answer(online.result(), select(online.graph))
+    assert len(rows) > 10
+
+
+def test_the_tolerance_is_saved(graph, tmp_path):
+    IncrementalPcm(graph, tolerance=0.25).save(tmp_path / "state.npz")
+    assert IncrementalPcm.load(tmp_path / "state.npz")._state.tolerance == 0.25
+    with pytest.raises(InputError, match="tolerance: -1"):
+        IncrementalPcm(graph, tolerance=-1)

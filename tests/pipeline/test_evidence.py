@@ -94,6 +94,7 @@ def test_evidence_answers_as_the_graph_does(world, evidence):
     assert direct.solution == asked.solution
 
 
+@pytest.mark.slow
 def test_a_method_of_ones_own(world, evidence):
     def agrees_with_two(pair, gate):
         return pair.consistent(gate).sum(axis=1) >= 2

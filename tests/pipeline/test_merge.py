@@ -257,6 +257,7 @@ def test_a_given_set_as_mask_or_indices(world):
     assert by_mask.solution.cost == by_index.solution.cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["blocks", "cholmod"])
 def test_merges_with_room_for_each_other_share_a_plan(world, result, engine, monkeypatch):
     sparsax = pytest.importorskip("sparsax")

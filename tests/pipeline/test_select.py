@@ -84,6 +84,7 @@ def test_options_reach_the_method(world, selection):
         np.testing.assert_array_equal(pair.accepted, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["pcm-exact", "pcm-heuristic"])
 def test_beyond_the_memory_limit_the_graph_is_streamed(world, selection, method):
     optimised = MultiRobotGraph(selection.maps, world.graph.closures)

@@ -48,6 +48,7 @@ def test_eight_threads_give_the_bits_of_one_after_another(graphs):
                 np.testing.assert_array_equal(one, other, strict=True)
 
 
+@pytest.mark.slow
 def test_threads_that_start_with_no_plan_agree_on_one(graphs):
     """Each makes plans of its own where none is kept yet: the same ones."""
     expected = answer(graphs[-1])

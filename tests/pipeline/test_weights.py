@@ -68,6 +68,7 @@ def test_the_heaviest_set_wins_and_says_its_weight(world, weighed):
     assert not selection.accepted[world.is_true].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["pcm-exact", "pcm-heuristic"])
 def test_weights_reach_each_pair_by_its_own_closures(world, weighed, method):
     weight = mixed(len(world.is_true))
@@ -99,6 +100,7 @@ def test_bad_weights_are_refused_by_index(world, weighed, method, bad, told):
         merge(weighed(weight), method=method)
 
 
+@pytest.mark.slow
 def test_methods_that_cannot_use_weights_say_so(world, weighed):
     count = len(world.is_true)
     uneven = weighed(mixed(count))

@@ -373,6 +373,7 @@ def test_a_graph_refuses_masks_of_another_length(wrong):
         plots.plot_consistency_graph(np.zeros((3, 3), bool), **wrong)
 
 
+@pytest.mark.slow
 def test_matplotlib_is_not_loaded_until_something_is_drawn():
     code = (
         "import sys, pcm_jax.evaluation, pcm_jax.plots, pcm_jax.simulation;"

@@ -158,6 +158,7 @@ def test_pressing_a_line_tells_its_sentence(opened, result):
     assert not result.accepted[picked]
 
 
+@pytest.mark.slow
 def test_conflicts_of_a_picked_closure_are_drawn(opened, result):
     page = opened()
     (pair,) = result.selection.pairs
@@ -172,6 +173,7 @@ def test_conflicts_of_a_picked_closure_are_drawn(opened, result):
         assert sorted(int(name.split()[1]) for name in named) == against
 
 
+@pytest.mark.slow
 def test_a_closure_named_beside_another_can_be_picked(opened):
     page = opened(place="#closure-3")
     first = page.locator("#picked-body .chip").first
@@ -180,6 +182,7 @@ def test_a_closure_named_beside_another_can_be_picked(opened):
     assert page.locator("#picked-title").text_content() == f"Closure {named}"
 
 
+@pytest.mark.slow
 def test_sorting_by_mouse_and_by_keyboard(opened):
     page = opened()
     assert rows(page) == [str(k) for k in range(20)]
@@ -198,6 +201,7 @@ def test_sorting_by_mouse_and_by_keyboard(opened):
     assert head.get_attribute("aria-sort") is None
 
 
+@pytest.mark.slow
 def test_filtering_by_fate_and_text(opened, result):
     page = opened()
     page.locator("#fate").select_option("accepted")
@@ -220,6 +224,7 @@ def test_fates_can_be_hidden_on_the_maps(opened):
     assert page.locator("[data-draw=after] path.closure").count() == 2
 
 
+@pytest.mark.slow
 def test_a_cell_of_the_matrix_tells_its_two_closures(opened, result):
     page = opened()
     (pair,) = result.selection.pairs
@@ -253,6 +258,7 @@ def test_the_rivals_map_joins_the_rivals_closures(opened):
     assert lengths["rival"] < 0.3 * lengths["after"]
 
 
+@pytest.mark.slow
 def test_moving_through_the_table_and_leaving(opened):
     page = opened()
     page.locator("#fate").select_option("rival")
@@ -268,11 +274,13 @@ def test_moving_through_the_table_and_leaving(opened):
     assert page.locator(".is-picked").count() == 0
 
 
+@pytest.mark.slow
 def test_a_link_picks_its_closure(opened):
     page = opened(place="#closure-5")
     assert page.locator("#picked-title").text_content() == "Closure 5"
 
 
+@pytest.mark.slow
 def test_the_theme_follows_the_system_until_it_is_chosen(opened):
     colour = "getComputedStyle(document.body).backgroundColor"
     light, dark = (opened(theme=theme).evaluate(colour) for theme in THEMES)
@@ -285,6 +293,7 @@ def test_the_theme_follows_the_system_until_it_is_chosen(opened):
     assert page.evaluate(colour) == light
 
 
+@pytest.mark.slow
 def test_the_keyboard_reaches_everything(opened):
     page = opened()
     page.keyboard.press("Tab")
@@ -296,6 +305,7 @@ def test_the_keyboard_reaches_everything(opened):
     assert {"theme", "find", "fate", "pick", "scroll tall"} <= reached
 
 
+@pytest.mark.slow
 def test_maps_are_zoomed_by_buttons(opened):
     page = opened()
     scene = page.locator("[data-draw=after] .scene")
@@ -316,6 +326,7 @@ def test_maps_in_space_are_seen_from_other_sides(opened):
     assert len(seen) == 3
 
 
+@pytest.mark.slow
 def test_the_worst_conflict_of_the_sentence_is_listed_first(opened, result):
     page = opened()
     rejected = np.flatnonzero(~result.accepted).tolist()
@@ -325,6 +336,7 @@ def test_the_worst_conflict_of_the_sentence_is_listed_first(opened, result):
         assert page.locator("#picked-body .chips").first.inner_text().split()[1] == str(worst.index)
 
 
+@pytest.mark.slow
 def test_closures_that_are_not_drawn_are_told(opened, written, result, monkeypatch):
     """In the matrix, in the graph, and beside one of them."""
     monkeypatch.setattr(drawing, "MOST_CLOSURES", 12)
@@ -341,6 +353,7 @@ def test_closures_that_are_not_drawn_are_told(opened, written, result, monkeypat
     assert page.locator("#agreement .thinned").inner_text() == ""
 
 
+@pytest.mark.slow
 def test_colours_are_those_of_the_theme(opened):
     """What the style sheet says of both themes, and what canvases are painted with."""
     found = {}

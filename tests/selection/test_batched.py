@@ -45,6 +45,7 @@ def test_same_sets_as_the_host_on_graphs_full_of_ties(method):
     same_as_host(squared, GATE, method=method)
 
 
+@pytest.mark.slow
 def test_heuristic_falls_short_where_the_hosts_does():
     rng = np.random.default_rng(3)
     squared = np.where(rng.random((300, 14, 14)) < 0.75, 1.0, 9.0)
@@ -88,6 +89,7 @@ def test_what_is_not_a_number_agrees_with_nothing(method):
     assert kept(squared, GATE, method=method).tolist() == [True, False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", KERNELS)
 def test_leading_axes_and_no_measurements(method):
     squared = simulate_one_dimensional(seed=5, worlds=6, inliers=3, aliased=1, random=1)

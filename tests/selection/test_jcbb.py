@@ -168,6 +168,7 @@ def test_thirty_closures_are_searched_to_the_end(group):
         assert not pairs.all() or joint_consistency(evidence, wider).p < 0.01
 
 
+@pytest.mark.slow
 def test_beyond_the_search_a_repaired_set_is_not_called_optimal(group, monkeypatch):
     evidence = doubtful(group, THIRTY[group], 30)
     gate = float(chi2_gate(0.99, lie.tangent_dim(group)))
@@ -232,6 +233,7 @@ def test_distances_alone_do_not_suffice():
         select_within(map_with_a_loop, method="jcbb")
 
 
+@pytest.mark.slow
 def test_streamed_evidence_has_the_same_answer(triangle):
     streamed = select(triangle, optimized=True, memory_limit=0, method="jcbb", minimum_inliers=2)
     assert streamed.pairs[0].evidence.is_streamed

@@ -93,6 +93,7 @@ def test_values_fall_with_contradiction(squared):
     assert contradicted[v] < soft[v] - 0.05
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences(squared):
     rng = np.random.default_rng(2)
     pull = jnp.asarray(rng.normal(size=len(squared)))

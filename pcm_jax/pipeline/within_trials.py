@@ -6,7 +6,7 @@ import time
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency import (
@@ -64,6 +64,7 @@ class Trial(NamedTuple):
 
     @property
     def found(self) -> int:
+        """The number of members."""
         return int(self.members.sum())
 
 
@@ -101,23 +102,27 @@ class Trials:
         contained = np.count_nonzero(fitted.members & stated.members) >= AS_GOOD * stated.found
         return [fitted, stated] if contained else [stated, fitted]
 
+    def distances(self, factor: float) -> tuple[Float[np.ndarray, "m m"], Float[np.ndarray, " m"]]:
+        """q² of pairs, and of each with odometry alone, its errors multiplied."""
+        problem = with_odometry_errors(self.problem, factor) if factor != 1.0 else self.problem
+        return np.asarray(squared_mahalanobis(problem)), np.asarray(squared_own_loops(problem))
+
+    def largest(
+        self, factor: float, squared: Float[np.ndarray, "m m"], among: Int[np.ndarray, " n"]
+    ) -> Choice:
+        """The set that the method finds among some closures, marked among these."""
+        evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
+        return choose(evidence, self.asked.gate, method=self.asked.method, **self.asked.options)
+
     def _at(self, factor: float, *, fitted: bool) -> Trial:
         start = time.perf_counter()
-        problem = with_odometry_errors(self.problem, factor) if factor != 1.0 else self.problem
-        squared = np.asarray(squared_mahalanobis(problem))
-        own_squared = np.asarray(squared_own_loops(problem))
+        squared, own_squared = self.distances(factor)
         self.measuring += time.perf_counter() - start
         agreeing = (own_squared <= self.asked.gate) | (not self.asked.own_loop)
-        choice, members = self._chosen(squared, np.flatnonzero(agreeing))
+        among = np.flatnonzero(agreeing)
+        choice = self.largest(factor, squared, among)
+        members = _marked(choice, among, len(squared))
         return Trial(factor, fitted, squared, own_squared, choice, members)
-
-    def _chosen(self, squared: np.ndarray, among: np.ndarray) -> tuple[Choice, np.ndarray]:
-        evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
-        asked = self.asked
-        choice = choose(evidence, asked.gate, method=asked.method, **asked.options)
-        members = np.zeros(len(squared), bool)
-        members[among] = choice.members
-        return choice, members
 
     def places(self, trial: Trial) -> Places:
         """The places of the closures; the separation is that of the trial's set."""
@@ -147,10 +152,17 @@ class Trials:
     def contradicting(self, trial: Trial) -> str:
         """Says so where closures agree among themselves, but hardly any with odometry."""
         agreeing = int(np.count_nonzero(trial.own_squared <= self.asked.gate))
-        _, among_all = self._chosen(trial.squared, np.arange(len(trial.members)))
+        every = np.arange(len(trial.members))
+        among_all = Trials.largest(self, trial.factor, trial.squared, every).members
         if among_all.sum() < 3 or 2 * agreeing > among_all.sum():
             return ""
         return (
             f"; everything contradicts odometry: {among_all.sum()} of {len(trial.members)} closures"
             f" agree among themselves, but only {agreeing} with odometry"
         )
+
+
+def _marked(choice: Choice, among: np.ndarray, count: int) -> Bool[np.ndarray, " m"]:
+    members = np.zeros(count, bool)
+    members[among] = choice.members
+    return members
