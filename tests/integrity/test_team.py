@@ -95,7 +95,10 @@ def test_a_team_overrules_one_pair_of_robots():
     assert own.any()
     kept = own | (world.labels <= 0)  # aliased between 0 and 3 alone
     graph = type(world.graph)(world.graph.maps, closures[kept])
-    selection = select(graph, on_ambiguous="largest")
+    by_places = select(graph, on_ambiguous="largest")
+    assert world.is_true[kept][by_places.accepted].all()
+    assert all(pair.verdict.believed for pair in by_places.pairs)
+    selection = select(by_places.evidence, on_ambiguous="largest", prefer="closures")
     verdicts = {(p.robot_a, p.robot_b): p.verdict for p in selection.pairs}
     assert not verdicts[0, 3].believed
     assert "the team contradicts it in all 3 cycles" in verdicts[0, 3].why
