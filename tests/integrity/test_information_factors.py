@@ -104,6 +104,7 @@ def test_a_cut_leaves_the_mean_and_the_variance_of_what_passes():
     np.testing.assert_allclose(wide, halves, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_a_gate_cut_off_is_made_up_for():
     """A gate of 97 % takes a ninth of closures' errors; factors are those of all the same."""
     aware, unaware, gate = [], [], float(chi2_gate(0.97, 3))
@@ -244,6 +245,7 @@ def test_bad_arguments(city):
         pcm_jax.calibrate(city.graph, [10**6])
 
 
+@pytest.mark.slow
 def test_intervals_cover_what_differs_from_length_to_length():
     """A drift of 0.3 sigma a step: short loops fix the factor, and long ones contradict it."""
     one = simulate_city(seed=6, poses=400).graph.maps[0]
