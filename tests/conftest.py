@@ -2,8 +2,9 @@
 
 Most of the suite's time is compilation. So programs are compiled with little optimisation, unless
 `XLA_FLAGS` is set (`XLA_FLAGS= pytest` compiles as users do), and each one once: a folder for
-compiled programs, of this run alone, is shared by its processes. Both hold for processes that tests
-start as well, and for notebooks.
+compiled programs, of this run alone, is shared by its processes. BLAS has one thread, unless
+`OPENBLAS_NUM_THREADS` is set: threads that wait for each other's tiny products take four times the
+processor's time. All this holds for processes that tests start as well, and for notebooks.
 """
 
 import atexit
@@ -16,18 +17,23 @@ from typing import Any
 import jax
 import jaxlie
 import pytest
+from threadpoolctl import threadpool_limits
 
 QUICK = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
     " --xla_cpu_parallel_codegen_split_count=1"  # the workers share the cores already
 )
 CACHE = "JAX_COMPILATION_CACHE_DIR"
+BLAS = "OPENBLAS_NUM_THREADS"
 KEPT = {  # whatever its compilation took, and its size
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.0,
     "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": -1,
 }
 
 os.environ.setdefault("XLA_FLAGS", QUICK)  # read with the first program
+if BLAS not in os.environ:  # read where BLAS is loaded, which NumPy's is already
+    os.environ[BLAS] = "1"
+    threadpool_limits(1, user_api="blas")
 if CACHE not in os.environ:  # else it is that of the process that started this one
     os.environ[CACHE] = tempfile.mkdtemp(prefix="compiled-")
     atexit.register(shutil.rmtree, os.environ[CACHE], ignore_errors=True)

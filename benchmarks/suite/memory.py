@@ -30,8 +30,7 @@ RUNTIME = (
 )
 STORED = (
     "of cubicle's 220 MB the fronts take 55 and the factor 50, the plan 24, what factorising forms"
-    " on the way 23, the edges' products 15; GTSAM keeps the fronts of one branch at a time, as slots"
-    " that are used again would"
+    " on the way 23, the edges' products 15; slots for fronts that are used again would change it"
 )
 REASONS = {"solving": STORED, "process": RUNTIME}
 
