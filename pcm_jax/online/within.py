@@ -308,7 +308,7 @@ class IncrementalWithin:
         )
         online._held = online._held.with_closures(held)
         online._arrived, online._waiting = Arrived(held), waiting
-        online._repeated, online._graph = meta["repeated"], None
+        online._repeated, online._graph, online._identities = meta["repeated"], None, None
         online._step = meta["step"]
         online._members, online._believed = arrays["members"], arrays["believed"]
         online._log.extend(Change(*each) for each in meta["log"])

@@ -212,14 +212,17 @@ def test_a_closure_waits_for_its_pose(graph):
 def test_saved_and_loaded_it_goes_on(graph, tmp_path):
     online = IncrementalWithin(begun(graph, 50), seed=2)
     rows = loops_of(graph)
-    online.add(**edges(graph, rows[:18]))
+    online.add(**edges(graph, rows[:18]), source=graph.source[rows[:18]])
     online.save(tmp_path / "state.npz")
     other = IncrementalWithin.load(tmp_path / "state.npz")
     np.testing.assert_array_equal(other.waiting, online.waiting)
     assert len(other.waiting) and repr(other) == repr(online)
+    held = edges(graph, [int(np.flatnonzero(graph.source == online.graph.source[-1])[0])])
+    assert other.add(**held).tolist() == online.add(**held).tolist() == [len(online) - 1]
     for each in (online, other):
         each.extend(**edges(graph, odometry_edges(graph)[49:]))
         each.add(**edges(graph, rows[17:]))
+    assert (len(other), other.repeated) == (len(online), online.repeated)
     assert_same_answer(other.result(), online.result())
     with pytest.raises(FileFormatError, match="a state of IncrementalWithin, expected one of Incr"):
         IncrementalPcm.load(tmp_path / "state.npz")

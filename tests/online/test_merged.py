@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,6 +74,20 @@ def test_the_same_again_takes_no_more_than_a_look(graph):
     assert again.solution.initial_cost == pytest.approx(again.solution.cost, rel=1e-6)
     assert again.solution.iterations < first.solution.iterations
     assert_same_merge(again, first)
+
+
+def test_each_map_keeps_its_own_frame(graph):
+    """Groups lie where their first robot's map does, wherever other maps begin."""
+    maps = []
+    for number, one in enumerate(graph.maps):
+        motion: Any = np.array([[3.0 * number - 2.0, 1.0, 0.4 * number + 0.2]])
+        there = lie.exp(one.group, np.repeat(motion, one.num_poses, axis=0))
+        maps.append(one.with_poses(lie.compose(there, lie.as_numpy(one.poses))))
+    online = IncrementalPcm(dataclasses.replace(graph, maps=tuple(maps)), **RULE)
+    online.merge()
+    found = online.merge()
+    assert found.solution.initial_cost == pytest.approx(found.solution.cost, rel=1e-6)
+    assert_same_merge(found, merge(online.graph, **RULE))
 
 
 def test_maps_that_grow_and_move(graph):
