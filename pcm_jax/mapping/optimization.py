@@ -114,19 +114,24 @@ def optimize(
     solver = _solver(solver, method)
     check_names(solver, engine)
     options: dict[str, Any] = {"solver": solver, "engine": engine, "max_steps": max_steps}
+    alone = priors_of(pose_graph) is None and pose_graph.num_edges > 0
+    options["problem"] = problem = problem_of(pose_graph) if alone else None
     found = optimize_from(initial, pose_graph, **options)
-    if initial == INITIAL[0] and _is_suspicious(pose_graph, found):
+    if initial == INITIAL[0] and _is_suspicious(pose_graph, problem, found):
         others = (optimize_from(start, pose_graph, **options) for start in INITIAL[1:])
         found = min([found, *others], key=lambda one: (not one.converged, _or_infinite(one.cost)))
     return found
 
 
-def optimize_from(initial: str, pose_graph: PoseGraph, **options: Any) -> Solution:
+def optimize_from(
+    initial: str, pose_graph: PoseGraph, *, problem: PoseProblem | None = None, **options: Any
+) -> Solution:
     """Does the work of `optimize` from one start alone.
 
     Args:
         initial: as there.
         pose_graph: as there.
+        problem: of the graph, `problem_of`, where that is known and it has no priors.
         **options: of `PoseProblem.solve`.
     """
     start = _initial_poses(pose_graph, host_arrays(pose_graph), initial)
@@ -135,22 +140,23 @@ def optimize_from(initial: str, pose_graph: PoseGraph, **options: Any) -> Soluti
     elif pose_graph.num_edges == 0:
         found = Solution(pose_graph, 0.0, 0.0, 0, True)
     else:
-        found = _solution(pose_graph, problem_of(pose_graph).solve(start, **options))
+        solved = (problem or problem_of(pose_graph)).solve(start, **options)
+        found = _solution(pose_graph, solved)
     return dataclasses.replace(found, start=initial)
 
 
-def _is_suspicious(pose_graph: PoseGraph, found: Solution) -> bool:
+def _is_suspicious(pose_graph: PoseGraph, problem: PoseProblem | None, found: Solution) -> bool:
     """True where a solution can hardly be the optimum; of priors nothing is known but the steps."""
     from scipy.special import chdtrc
 
     if not found.converged:
         return True
     freedom = pose_graph.tangent_dim * (pose_graph.num_edges - pose_graph.num_poses + 1)
-    if freedom <= 0 or priors_of(pose_graph) is not None:
+    if freedom <= 0 or problem is None:
         return False
     if chdtrc(freedom, 2.0 * found.cost) < UNLIKELY:
         return True
-    return problem_of(pose_graph).cost(pose_graph.poses) < found.cost * (1.0 - LOWER)
+    return problem.cost(pose_graph.poses) < found.cost * (1.0 - LOWER)
 
 
 def _or_infinite(cost: float) -> float:

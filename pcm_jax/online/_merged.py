@@ -20,6 +20,7 @@ from jaxtyping import Bool
 from pcm_jax import lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
+from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.merging import MergeResult
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import closures_within, robot_groups
@@ -163,9 +164,4 @@ def _cost(
         placed[robot] = one
     here = lie.identity(own.group, (len(placed),))
     joint = joint_graph(MultiRobotGraph(tuple(placed), own.closures), members, used, here)
-    tail, head = (
-        lie.take(lie.as_numpy(joint.poses), np.asarray(end)) for end in (joint.tail, joint.head)
-    )
-    stated = lie.inverse(lie.as_numpy(joint.measurement))
-    residual = np.asarray(lie.log(lie.compose(stated, lie.between(tail, head))))
-    return 0.5 * float(np.einsum("ki,kij,kj->", residual, joint.information, residual))
+    return problem_of(joint).cost(joint.poses)
