@@ -6,10 +6,12 @@ Two simulated robots; of m candidates t are right, the others false by one of th
 the other robot stands anywhere in the common bounding box; "near", within 10 m of the first;
 "identity", both at the same spot, to the closures' noise. Odometry drifts as the simulator's or
 some times as much; maps are closed by loops of their own, or odometry alone. With `--aliased G`
-one group of G of the false closures agrees within itself (`simulation.outliers`).
+one group of G of the false closures agrees within itself (`simulation.outliers`): anywhere the two
+maps meet by their alignment, or with `--where "one place"` within eight poses of each other.
 
 Rules: "2", "3", "5": so many closures suffice; "chance": the set has to stand out from chance
-(`integrity.chance`); "default": and must have no rival about as good (`integrity.rivals`).
+(`integrity.chance`), every closure a witness; "places": closures beside each other are one witness
+(`integrity.places`); "default": and must have no rival about as good (`integrity.rivals`).
 A world counts as *merged wrongly* if most of the accepted closures are false, as *found* if most
 are right. Bounds are Clopper and Pearson's, one-sided, 99 %.
 
@@ -35,11 +37,15 @@ from pcm_jax import MultiRobotGraph, PoseGraph, lie, select, weigh
 from pcm_jax.arrays import on_host
 from pcm_jax.integrity import Verdict
 from pcm_jax.simulation import simulate_city, simulate_sessions
+from pcm_jax.simulation.measurements import measure
 from pcm_jax.store import Store, digest
 
 SOURCES = (*LIBRARY, Path(__file__))
 LAWS = ("uniform", "near", "identity")
+WHERE = ("spread", "one place")
 FIXED = (2, 3, 5)
+STRETCH = 8
+"""Poses of either robot among which an aliased group in one place lies."""
 POSES = 200
 NEAR = 10.0
 NOISE = {
@@ -63,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--closures", type=int, nargs="+", default=[20, 50, 100, 200, 500])
     parser.add_argument("--right", type=int, nargs="+", default=[0, 3, 5], metavar="T")
     parser.add_argument("--aliased", type=int, nargs="+", default=[0], metavar="G")
+    parser.add_argument("--where", nargs="+", default=["spread"], choices=WHERE)
     parser.add_argument("--laws", nargs="+", default=list(LAWS), choices=LAWS)
     parser.add_argument("--drifts", type=float, nargs="+", default=[1.0, 4.0], metavar="X")
     parser.add_argument("--loops", nargs="+", default=["loops", "odometry"])
@@ -77,6 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.closures,
             options.right,
             options.aliased,
+            options.where,
             options.laws,
             options.drifts,
             options.loops,
@@ -100,6 +108,7 @@ class Cell(NamedTuple):
         count: candidates.
         right: right ones among them.
         aliased: false ones that agree within themselves.
+        where: "spread", or "one place".
         law: of the other false ones.
         drift: times the simulator's odometry noise.
         loops: "loops", or "odometry": maps without loops.
@@ -109,6 +118,7 @@ class Cell(NamedTuple):
     count: int
     right: int
     aliased: int
+    where: str
     law: str
     drift: float
     loops: str
@@ -116,7 +126,7 @@ class Cell(NamedTuple):
     @property
     def name(self) -> str:
         """The cell in words."""
-        groups = f", {self.aliased} aliased" if self.aliased else ""
+        groups = f", {self.aliased} aliased {self.where}" if self.aliased else ""
         return (
             f"{self.group}, {self.right} of {self.count} right{groups}, {self.law}, "
             f"drift {self.drift:g}, {self.loops}"
@@ -138,18 +148,18 @@ def rates_of(cell: Cell, *, worlds: int, seed: int) -> dict[str, dict[str, float
 
 @on_host
 def decisions(graph: MultiRobotGraph) -> dict[str, tuple[np.ndarray, float]]:
-    """Decides by every rule: masks, and the seconds that the last two take besides."""
+    """Decides by every rule: masks, and the seconds that the last three take besides."""
     evidence = weigh(graph)
     nothing = np.zeros(len(graph.closures), bool)
     by_number = select(evidence, minimum_inliers=2)
     most = by_number.pairs[0].found
     found = {str(k): (by_number.accepted if most >= k else nothing, 0.0) for k in FIXED}
-    start = time.perf_counter()
-    judged = select(evidence, on_ambiguous="largest", prefer="closures")
-    seconds = time.perf_counter() - start
+    for rule, separation in (("chance", 0.0), ("places", None)):
+        start = time.perf_counter()
+        judged = select(evidence, separation=separation, on_ambiguous="largest", prefer="closures")
+        found[rule] = judged.accepted, time.perf_counter() - start
     verdict: Verdict = judged.pairs[0].verdict
-    found["chance"] = judged.accepted, seconds
-    found["default"] = (nothing if verdict.ambiguous else judged.accepted), seconds
+    found["default"] = (nothing if verdict.ambiguous else judged.accepted), found["places"][1]
     return found
 
 
@@ -169,6 +179,9 @@ def world_of(cell: Cell, seed: tuple[int, int]) -> tuple[MultiRobotGraph, np.nda
     closures = world.graph.closures
     if cell.law == "identity":
         closures = _at_the_same_spot(closures, world.labels < 0, np.random.default_rng(seed))
+    if cell.aliased and cell.where == "one place":
+        aliased = np.flatnonzero(world.labels > 0)
+        closures = _in_one_place(closures, aliased, world.truth, np.random.default_rng(seed))
     maps = world.graph.maps
     if cell.loops == "odometry":
         maps = tuple(_odometry(one) for one in maps)
@@ -187,6 +200,35 @@ def _at_the_same_spot(closures: Any, false: np.ndarray, generator: np.random.Gen
         lie.parameters(lie.as_numpy(closures.measurement)),
     )
     return dataclasses.replace(closures, measurement=closures.group(values))
+
+
+def _in_one_place(
+    closures: Any, aliased: np.ndarray, truth: Any, generator: np.random.Generator
+) -> Any:
+    """The aliased closures moved to poses near those of the first of them.
+
+    Each says of its poses what the first one's alignment does, with noise as stated.
+    """
+    first = np.full(len(aliased), aliased[0])
+    pose_a, pose_b = np.array(closures.pose_a), np.array(closures.pose_b)
+    values = np.array(lie.parameters(lie.as_numpy(closures.measurement)))
+    truth_a, truth_b = (lie.as_numpy(one) for one in truth)
+    alignment = lie.compose(
+        lie.compose(lie.take(truth_a, pose_a[first]), closures.group(values[first])),
+        lie.inverse(lie.take(truth_b, pose_b[first])),
+    )
+    for poses in (pose_a, pose_b):
+        low = np.clip(poses[first[0]] - STRETCH // 2, 0, POSES - STRETCH)
+        poses[aliased] = low + generator.permutation(STRETCH)[: len(aliased)]
+    exact = lie.between(
+        lie.take(truth_a, pose_a[aliased]),
+        lie.compose(alignment, lie.take(truth_b, pose_b[aliased])),
+    )
+    covariance = np.linalg.inv(np.asarray(closures.information))[aliased]
+    values[aliased] = lie.parameters(lie.as_numpy(measure(generator, exact, covariance)))
+    return dataclasses.replace(
+        closures, pose_a=pose_a, pose_b=pose_b, measurement=closures.group(values)
+    )
 
 
 def _odometry(one: PoseGraph) -> PoseGraph:

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from benchmarks import integrity
+from pcm_jax import select
 
 OPTIONS = ["--worlds", "3", "--groups", "SE2", "--closures", "12", "--laws", "uniform", "identity"]
 
@@ -21,11 +22,11 @@ def test_table_and_resuming(tmp_path, capsys, monkeypatch):
         for law in ("uniform", "identity")
     ]
     met = summary["SE2, 6 of 12 right, uniform, drift 1, odometry"]
-    assert list(met) == ["2", "3", "5", "chance", "default"]
+    assert list(met) == ["2", "3", "5", "chance", "places", "default"]
     assert met["default"]["right"] == met["3"]["right"] == 100.0
     assert summary["SE2, 0 of 12 right, uniform, drift 1, odometry"]["default"]["right"] == 0.0
     table = (tmp_path / "table.md").read_text()
-    assert table.count("\n") == 2 + 4 * 5
+    assert table.count("\n") == 2 + 4 * 6
     assert table.strip() in capsys.readouterr().out
     monkeypatch.setattr(integrity, "world_of", None)  # nothing is drawn again
     assert integrity.main([*arguments, "--out", str(tmp_path)]) == 0
@@ -33,7 +34,7 @@ def test_table_and_resuming(tmp_path, capsys, monkeypatch):
 
 def test_candidates_are_as_the_law_says():
     for law, right in (("uniform", 0), ("near", 3), ("identity", 3)):
-        cell = integrity.Cell("SE3", 20, right, 4, law, 1.0, "odometry")
+        cell = integrity.Cell("SE3", 20, right, 4, "spread", law, 1.0, "odometry")
         graph, is_true = integrity.world_of(cell, (0, 1))
         assert len(graph.closures) == 20
         assert is_true.sum() == right
@@ -41,6 +42,18 @@ def test_candidates_are_as_the_law_says():
         far = np.linalg.norm(graph.closures.measurement.translation(), axis=1)
         if law == "identity":
             assert np.sum(far < 1.0) >= 20 - right - 4
+
+
+def test_an_aliased_group_in_one_place_agrees_there():
+    for group in ("SE2", "SE3"):
+        cell = integrity.Cell(group, 30, 0, 5, "one place", "uniform", 1.0, "odometry")
+        graph, _ = integrity.world_of(cell, (0, 2))
+        accepted = select(graph, minimum_inliers=5).accepted
+        assert accepted.sum() == 5
+        for poses in (graph.closures.pose_a, graph.closures.pose_b):
+            there = np.asarray(poses)[accepted]
+            assert len(set(there)) == 5
+            assert np.ptp(there) < integrity.STRETCH
 
 
 def test_bounds_are_clopper_and_pearsons():
