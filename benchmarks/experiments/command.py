@@ -89,9 +89,10 @@ def finish(
         options: of `command_parser`.
         start: of the command, `time.perf_counter`.
         summary: of the results.
-        rows, columns: of the table, see `comparison_table`.
+        rows, columns: of the table, see `comparison_table`; a column that no row has is left out.
     """
-    table = comparison_table(rows, columns)
+    known = {name for row in rows.values() for name in row}
+    table = comparison_table(rows, {name: columns[name] for name in columns if name in known})
     write_json(options.out / "summary.json", summary)
     (options.out / "table.md").write_text(table + "\n")
     write_run(options.out, options, start)
