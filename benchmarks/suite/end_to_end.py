@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import compileall
 import functools
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 
+import pcm_jax
 from benchmarks.suite import maps
 from benchmarks.suite.harness import ENVIRONMENT, Case, Measured, Metric, Settings
 from benchmarks.suite.measure import alone, in_words, seconds_of, timing_of
@@ -71,6 +74,7 @@ def two_maps(group: str, settings: Settings) -> dict[str, Measured]:
 def commands(settings: Settings) -> dict[str, Measured]:
     """`pcm-jax` as in a shell of its own, against what importing JAX takes, in turn."""
     folder = maps.required(f"{SPOILED}/{SPOILED_SETS[0]}", settings)
+    compileall.compile_dir(Path(pcm_jax.__file__).parent, quiet=1)  # as pip does
     files = [str(path) for path in sorted(folder.iterdir())]
     cli = "-m", "pcm_jax"
     seconds: dict[str, list[float]] = {name: [] for name in (*COMMANDS, "help", "import")}
@@ -97,6 +101,7 @@ def commands(settings: Settings) -> dict[str, Measured]:
 
 def imports(settings: Settings) -> dict[str, Measured]:
     """Times imports, each in a fresh process: of the package, and of all that a merge needs."""
+    compileall.compile_dir(Path(pcm_jax.__file__).parent, quiet=1)  # as pip does
     package = [_seconds("import pcm_jax", after="import jax") for _ in range(IMPORTS)]
     # In turn, so that a busy machine slows both alike.
     rounds = [(_seconds(MERGE), _seconds(FOUNDATIONS)) for _ in range(IMPORTS)]

@@ -197,7 +197,8 @@ class ShuffledClosures:
         left = np.stack([*turned, shift, one], axis=-1).astype(np.float32)
         right = np.stack([*turned, one, shift], axis=-1).astype(np.float32)
         # One by one: a stack of such products takes a hundred times as long on several threads.
-        at = [np.flatnonzero(a @ b.T >= self._floor) for a, b in zip(left, right, strict=True)]
+        pairs = zip(left, right, strict=True)
+        at = [(a @ b.T >= self._floor).ravel().nonzero()[0] for a, b in pairs]
         shuffle = np.repeat(np.arange(len(at)), [len(each) for each in at])
         return shuffle, *np.divmod(np.concatenate(at), self.count)
 

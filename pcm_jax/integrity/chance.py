@@ -163,6 +163,9 @@ class _Outcome(NamedTuple):
     reached: bool
 
 
+_TOO_FEW = _Outcome(0, False)
+
+
 def _taking_part(
     places: Places, candidates: Int[np.ndarray, " c"], generator: np.random.Generator
 ) -> Int[np.ndarray, " t"]:
@@ -212,8 +215,9 @@ def _outcomes(shuffles: Any, orders: Iterator[np.ndarray], mark: _Mark) -> Itera
             if not len(part):
                 continue
             pairs = shuffles.weigh(part, at_least=at_least)
-            for shuffle in range(len(part)):
-                outcome = _outcome(pairs.of(shuffle), at_least, mark)
+            enough = np.bincount(pairs.shuffle, minlength=len(part)) >= math.comb(at_least, 2)
+            for shuffle, may in enumerate(enough.tolist()):
+                outcome = _outcome(pairs.of(shuffle), at_least, mark) if may else _TOO_FEW
                 made += 1
                 reached += outcome.reached
                 yield outcome
@@ -224,7 +228,7 @@ def _outcomes(shuffles: Any, orders: Iterator[np.ndarray], mark: _Mark) -> Itera
 def _outcome(pairs: ConsistentPairs, at_least: int, mark: _Mark) -> _Outcome:
     pairs = pairs.peeled(at_least)
     if len(pairs.u) == 0:
-        return _Outcome(1 if at_least == 0 else 0, False)
+        return _Outcome(1, False) if at_least == 0 else _TOO_FEW
     largest = _Graph.of(pairs)
     places = int(largest.members(None).sum())
     if places != mark.places:

@@ -16,6 +16,7 @@ from pcm_jax.arrays import namespace
 
 Vector = Sequence[Any]
 Matrix = Sequence[Sequence[Any]]
+STRUCTURAL = (0.0, 1.0)
 
 
 def _is_number(entry: Any, number: float) -> bool:
@@ -39,10 +40,21 @@ def total(a: Any, b: Any) -> Any:
 
 
 def dot(a: Vector, b: Vector) -> Any:
-    """Σ aᵢ bᵢ."""
-    result = 0.0
+    """Σ aᵢ bᵢ.
+
+    The sum of `product` by `total`, written out: small arrays in NumPy take no longer than calls.
+    """
+    result: Any = 0.0
     for left, right in zip(a, b, strict=True):
-        result = total(result, product(left, right))
+        if type(left) is float and left in STRUCTURAL:
+            term = left if left == 0.0 else right
+        elif type(right) is float and right in STRUCTURAL:
+            term = right if right == 0.0 else left
+        else:
+            term = left * right
+        if type(term) is float and term == 0.0:
+            continue
+        result = term if type(result) is float and result == 0.0 else result + term
     return result
 
 

@@ -3,12 +3,14 @@
 from itertools import combinations
 
 import jaxlie
+import networkx as nx
 import numpy as np
 import pytest
 from scipy import stats
 
 from pcm_jax import JointConsistency, lie, select
 from pcm_jax.integrity import cycles_of, judge_team, minority
+from pcm_jax.integrity.team import _independent_cycles
 from pcm_jax.simulation import simulate_city
 
 SIGMA = {3: np.diag([0.1, 0.1, 0.02]) ** 2, 6: np.diag([0.1] * 3 + [0.02] * 3) ** 2}
@@ -43,6 +45,25 @@ def test_cycles_close_as_often_as_they_say(group, robots):
         assert cycle.robots == tuple(range(robots))
         p.append(cycle.p)
     assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_cycles_are_triangles_and_what_networkx_finds_beyond_them():
+    generator, longer = np.random.default_rng(8), 0
+    for _ in range(60):
+        robots = int(generator.integers(3, 8))
+        share = generator.choice([0.3, 0.6, 0.9])
+        pairs = [pair for pair in combinations(range(robots), 2) if generator.random() < share]
+        if not pairs:
+            continue
+        graph = nx.Graph(pairs)
+        triangles = {frozenset(c) for c in nx.enumerate_all_cliques(graph) if len(c) == 3}
+        basis = {frozenset(c) for c in nx.minimum_cycle_basis(graph) if len(c) > 3}
+        found = cycles_of(team_of(jaxlie.SE2, robots, generator, pairs))
+        assert {frozenset(cycle.robots) for cycle in found} == triangles | basis
+        assert len(found) == len(triangles) + len(basis)
+        longer += len(basis) > 0
+        assert _independent_cycles(pairs) == len(nx.cycle_basis(graph))
+    assert longer >= 5
 
 
 def test_every_triangle_is_closed_once():

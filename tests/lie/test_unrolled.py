@@ -1,5 +1,8 @@
 """Unrolled small matrices against NumPy's dense ones."""
 
+import math
+import random
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,6 +66,22 @@ def test_structural_zeros_and_ones_cost_nothing():
     lower = unrolled.cholesky(entries(s))
     assert lower[0][2] == 0.0
     assert isinstance(lower[0][2], float)
+
+
+def test_a_dot_product_is_its_sums_and_products():
+    """Bit for bit and type for type, whatever is structural: `dot` writes both out."""
+    draw = random.Random(0)
+    arrays = [np.array([0.1, -2.0, k]) for k in range(4)]
+    entries = [0.0, 1.0, -1.0, 2.5, math.nan, 0, 1, np.float64(0.0), *arrays]
+    for _ in range(2000):
+        size = draw.randint(0, 6)
+        left, right = (draw.choices(entries, k=size) for _ in range(2))
+        expected = 0.0
+        for a, b in zip(left, right, strict=True):
+            expected = unrolled.total(expected, unrolled.product(a, b))
+        found = unrolled.dot(left, right)
+        assert type(found) is type(expected)
+        np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("size", SIZES)
