@@ -66,9 +66,12 @@ from pcm_jax.experiments.cities import NOISE, City, Law, city_of_file, version_o
 from pcm_jax.merging import MergeResult
 from pcm_jax.merging.merged import Merged
 from pcm_jax.merging.refine import refine
+from pcm_jax.plots import style
 from pcm_jax.simulation import SimulatedWorld, add_clutter
 from pcm_jax.store import Store, digest, write_json
 
+BARS = (*style.SERIES[:5], style.GREY, style.BLACK)
+LEGEND: dict[str, Any] = {"fontsize": "small", "ncols": 3, "frameon": False}
 STUDIES = ("csail", "size", "city", "places")
 CUTS = (300, 850)
 LEVELS = {"low": (0.02, 0.005), "middle": (0.05, 0.01), "high": (0.1, 0.02)}
@@ -358,30 +361,32 @@ def draw(path: Path, summary: Mapping[str, Mapping[str, Mapping[str, float]]]) -
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
-    for color, gate in enumerate(GATES):
-        for name, style in {"PCM": "o-", "PCM + recall": "s--"}.items():
+    colors = style.BLUE, style.ORANGE, style.GREEN
+    for color, gate in zip(colors, GATES, strict=True):
+        for name, look in {"PCM": "o-", "PCM + recall": "s--"}.items():
             points = [
                 (int(cell.split()[1]), rows[name]["tpr"])
                 for cell, rows in summary.items()
                 if cell.startswith("size") and cell.endswith(f"gate {gate:g}")
             ]
             if points:
-                left.plot(
-                    *zip(*points, strict=True), style, color=f"C{color}", label=f"{name}, {gate:g}"
-                )
+                label = f"{name}, {gate:g}"
+                left.plot(*zip(*points, strict=True), look, color=color, label=label)
     left.set(
         xscale="log", xlabel="right closures", ylabel="accepted, %", title="City10000, calibrated"
     )
-    left.legend(fontsize="small")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", **LEGEND)
     cells = [f"csail, {level}, unstated" for level in LEVELS]
     cells = [cell for cell in cells if cell in summary]
     for k, name in enumerate(summary[cells[0]] if cells else ()):
         values = [summary[cell][name]["ate"] for cell in cells]
-        right.bar(np.arange(len(cells)) + 0.11 * k, values, 0.1, label=name)
+        right.bar(
+            np.arange(len(cells)) + 0.11 * k, values, 0.1, label=name, color=BARS[k % len(BARS)]
+        )
     right.set_xticks(np.arange(len(cells)) + 0.33, [cell.split(", ")[1] for cell in cells])
     right.set(xlabel="noise of odometry besides", ylabel="ATE, m", yscale="log")
     right.set_title("CSAIL in three pieces, noise not stated")
-    right.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, -0.45), ncols=3)
+    figure.legend(*right.get_legend_handles_labels(), loc="outside lower right", **LEGEND)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
