@@ -179,3 +179,10 @@ def test_importing_the_readers_does_not_import_scipy():
     """Reading a file needs csgraph; importing the package must not."""
     code = "import sys, pcm_jax.files; sys.exit('scipy.sparse.csgraph' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.filterwarnings("ignore::pcm_jax.errors.InputWarning")
+def test_information_whose_inverse_is_at_the_end_of_floats(write):
+    """Looking at what sigmas it would mean overflows nowhere."""
+    unit = "1 0 0 1 0"
+    read_graph(write(f"ODOMETRY 0 1 1 0 0.5 {unit} 1e-308", f"EDGE2 0 1 1 0 0.5 {unit} 1"))
