@@ -79,8 +79,8 @@ class Copy:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES)),
         )
+        resource.prlimit(process.pid, resource.RLIMIT_AS, (BYTES, BYTES))
         try:
             self.told, _ = process.communicate(timeout=limit)
         except subprocess.TimeoutExpired:
@@ -122,7 +122,7 @@ class Folder:
         return found
 
     def tried(self, module: str, change: Change, *options: str) -> str:
-        """Makes one change, runs the tests, those that execute its line first, and takes it back."""
+        """Makes a change, runs the tests, those that execute its line first, and takes it back."""
         path = self.copy.root / module
         text = path.read_text()
         first = [test for test in self.executed.get((str(path), change.line), []) if test]
