@@ -244,6 +244,8 @@ def write_team(folder: Path, poses: int = 4, closures: int = 3) -> list[str]:
     for number, name in enumerate("ab"):
         lines = [f"VERTEX_SE2 {k} {k} {number} 0" for k in range(poses)]
         lines += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 1000" for k in range(poses - 1)]
+        ends = [(0, poses - 1), *((k, k + 2) for k in range(0, poses - 2, 3))]
+        lines += [f"EDGE_SE2 {i} {k} {k - i} 0 0 90 0 0 90 0 900" for i, k in ends]
         (folder / f"{name}.g2o").write_text("\n".join(lines) + "\n")
     every = max(1, poses // closures)
     rows = [f"a,{k},b,{k},0,1,0,100,0,0,100,0,1000" for k in range(0, poses, every)]
