@@ -80,8 +80,8 @@ class Gtsam:
         return self.gtsam.Pose2(matrix[0, 2], matrix[1, 2], angle)
 
     def held(self) -> Gtsam:
-        """With the first pose held by a narrow prior."""
-        sure = self.gtsam.noiseModel.Isotropic.Sigma(self.d, 1e-7)
+        """With the first pose held, exactly."""
+        sure = self.gtsam.noiseModel.Constrained.All(self.d)
         first = getattr(self.values, f"at{self.kind}")(0)
         self.factors.add(getattr(self.gtsam, f"PriorFactor{self.kind}")(0, first, sure))
         return self

@@ -417,7 +417,7 @@ def test_a_cost_is_doubted_where_chance_hardly_gives_it(make_map, share, doubted
     cost = 0.5 * chi2.isf(share * UNLIKELY, freedom)
     found = Solution(graph, cost, cost, 3, True)
     problem = SimpleNamespace(cost=lambda _: np.inf)
-    assert _is_suspicious(graph, problem, found) is doubted
+    assert bool(_is_suspicious(graph, problem, found)) is doubted
     assert _is_suspicious(graph, problem, dataclasses.replace(found, converged=False))
     assert not _is_suspicious(graph, None, found)
 
