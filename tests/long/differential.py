@@ -40,7 +40,8 @@ def random_map(rng: np.random.Generator) -> PoseGraph:
     ends = ends[ends[:, 0] != ends[:, 1]]
     tail, head = np.r_[: n - 1, ends[:, 0]], np.r_[1:n, ends[:, 1]]
     truth = lie.stack(truth)
-    root = 0.02 * (np.eye(d) + 0.3 * rng.normal(size=(len(tail), d, d)))
+    left, sizes, right = np.linalg.svd(np.eye(d) + 0.3 * rng.normal(size=(len(tail), d, d)))
+    root = 0.02 * (left * np.clip(sizes, 0.2, None)[:, None]) @ right  # GTSAM refuses worse ones
     error = np.einsum("eij,ej->ei", root, rng.normal(size=(len(tail), d)))
     exact = lie.between(lie.take(truth, tail), lie.take(truth, head))
     start = lie.compose(truth, lie.exp(group, rng.normal(scale=0.02, size=(n, d))))

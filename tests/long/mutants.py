@@ -241,6 +241,7 @@ def main() -> None:
     parser.add_argument("--judge", nargs=2, metavar=("KEY", "WHY"))
     parser.add_argument("--summary", action="store_true")
     given = parser.parse_args()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in the background
     if given.judge:
         key, why = given.judge
         if key not in results():
