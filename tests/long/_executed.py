@@ -1,7 +1,8 @@
 """A plugin of pytest that notes which lines of some modules each test file executes.
 
 Lines that only threads of the compiler or other processes execute are not seen. A kernel that is
-compiled already is not executed again, so a line may have more files than are noted.
+compiled already is not executed again, so a line may have more files than are noted. Of a
+function's many calls only the first ones in each file are followed, as that takes long.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ import json
 import os
 import sys
 import threading
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
+from types import CodeType
 
+CALLS = 30
 FOLDER, NOTED = "PCM_LINES_OF", "PCM_LINES_NOTED"
 _lines: dict[tuple[str, int], set[str]] = defaultdict(set)
+_calls: Counter[tuple[CodeType, str]] = Counter()
 _current = [""]
 
 
@@ -25,8 +29,11 @@ def _within(frame, event, _):
 
 
 def _called(frame, event, _):
-    inside = frame.f_code.co_filename.startswith(os.environ[FOLDER])
-    return _within(frame, "line", None) if inside else None
+    code = frame.f_code
+    if not code.co_filename.startswith(os.environ[FOLDER]):
+        return None
+    _calls[code, _current[0]] += 1
+    return _within(frame, "line", None) if _calls[code, _current[0]] <= CALLS else None
 
 
 def pytest_collection():
