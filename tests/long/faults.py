@@ -22,6 +22,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from pcm_jax.errors import FileFormatError
 from pcm_jax.online._saved import read as read_state
@@ -235,12 +236,17 @@ def main() -> None:
             row = [name, f"{writer.seconds:.1f}", given.moments, *(left[kind] for kind in kinds)]
             rows.append([*row, f"{refused} of 8", runs, len(killed + filled + denied)])
             sys.stderr.write(f"{rows[-1]} {killed + filled + denied}\n")
+            given.out.write_text(told_of(given, rows, wrong, time.perf_counter() - began))
+
+
+def told_of(given: Any, rows: list[list[object]], wrong: list[str], seconds: float) -> str:
+    """The log of what is done so far."""
     head = ["writer", "seconds", "kills", "nothing new", "some files new", "all new"]
     head += ["with a dot file left", "disks too small", "read-only", "faults"]
-    given.out.write_text(
+    return (
         f"# Faults around the command line\n\n`python -m tests.long.faults --moments"
         f" {given.moments} --seed {given.seed}`. Commit {commit()}; {machine()};"
-        f" {time.perf_counter() - began:.0f} s.\n\n"
+        f" {seconds:.0f} s.\n\n"
         + table(head, rows)
         + "\n## Found\n\n"
         + ("\n".join(f"- {one}" for one in wrong) or "nothing")

@@ -5,7 +5,8 @@
 A reader may give a result, or an `InputError` of one line that names the file. Anything else is
 found: another exception, a warning that is not ours, more than a second, memory past the bound. A
 g2o file that is accepted and plain must mean what `_g2o_oracle` reads. Every input follows from
-the seed and its number, so one that was found is made again by `--only NUMBER`.
+the seed and its number, so one that was found is made again by `--only NUMBER`; not those of saved
+states and reports, which hold the seconds that they took.
 """
 
 from __future__ import annotations
