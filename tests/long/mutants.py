@@ -8,6 +8,7 @@ to `logs/mutants.jsonl` as they come, and a run goes on after those that are the
 survivor writes down why it is none, or the test that kills it:
 
     python -m tests.long.mutants --again              # survivors once more, slow tests included
+    python -m tests.long.mutants --killed KEY TEST    # survivors, by a test that is new
     python -m tests.long.mutants --judge KEY "why"    # equivalent: why
     python -m tests.long.mutants --summary            # logs/mutants.md
 """
@@ -203,6 +204,23 @@ def again() -> None:
                     note(key=entry["key"], result="killed since", commit=copy.commit)
 
 
+def killed_by(key: str, test: str) -> None:
+    """Notes that one test kills a survivor, if it passes without the change and not with it."""
+    module, _, name = key.partition(" ")
+    (change,) = (one for one in changes((ROOT / module).read_text()) if one.key == name)
+    with tempfile.TemporaryDirectory(prefix="mutants-") as place:
+        copy = Copy(Path(place))
+        before = copy.test([test], 600)
+        path = copy.root / module
+        path.write_text(change.applied(path.read_text()))
+        for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
+            compiled.unlink()
+        after = copy.test([test], 600)
+    if (before, after) != ("passed", "failed"):
+        raise SystemExit(f"{before} without the change, {after} with it\n{copy.told}")
+    note(key=key, result="killed since", by=test, commit=copy.commit)
+
+
 def summary() -> str:
     """The log as a table, and the survivors with why they live."""
     entries = list(results().values())
@@ -239,6 +257,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=15)
     parser.add_argument("--again", action="store_true")
     parser.add_argument("--judge", nargs=2, metavar=("KEY", "WHY"))
+    parser.add_argument("--killed", nargs=2, metavar=("KEY", "TEST"))
     parser.add_argument("--summary", action="store_true")
     given = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in the background
@@ -247,6 +266,8 @@ def main() -> None:
         if key not in results():
             raise SystemExit(f"no such mutant: {key}")
         note(key=key, judged=why)
+    elif given.killed:
+        killed_by(*given.killed)
     elif given.again:
         again()
     elif not given.summary:
