@@ -130,7 +130,7 @@ class Folder:
             path.write_text(change.applied(text))
             for compiled in path.parent.glob(f"__pycache__/{path.stem}.*.pyc"):
                 compiled.unlink()
-            limit = 60 + 4 * self.seconds
+            limit = 60 + 2 * self.seconds
             options = options or ("-m", "not slow")
             if first and self.copy.test(first, limit, *options) != "passed":
                 return "killed"
