@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pcm_jax.clique import maximum_clique
 from pcm_jax.consistency import chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
@@ -123,6 +124,8 @@ def test_of_evidence_without_distances_they_are_refused(world, selection, option
     assert evidence.is_streamed
     with pytest.raises(InputError, match="squared: not kept for the"):
         choose(evidence, 11.3, **options)
+    graph = evidence.consistent(11.3) & ~np.eye(len(evidence), dtype=bool)
+    np.testing.assert_array_equal(choose(evidence, 11.3).members, maximum_clique(graph).members)
 
 
 def test_too_few_inliers_are_none(world, selection):
