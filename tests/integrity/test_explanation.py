@@ -27,6 +27,7 @@ from pcm_jax.consistency.definition import loop_error
 from pcm_jax.integrity import STANDINGS, explain
 from pcm_jax.integrity._loops import Loops
 from pcm_jax.integrity._sentences import _accepted, confidence, number
+from pcm_jax.integrity.residuals import Fit, StrainedEdge
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 SIMULATED = {"SE2": simulate_city, "SE3": simulate_sessions}
@@ -466,3 +467,13 @@ def test_how_many_others_a_closure_agrees_with(agrees, of, words):
     worst = SimpleNamespace(index=7, translation=np.nan)
     told = SimpleNamespace(worst_conflict=worst, agrees_with=agrees, of=of, fit=None)
     assert _accepted(told).startswith(words)
+
+
+@pytest.mark.parametrize(("odometry", "kind"), [(True, "odometry"), (False, "loop")])
+def test_a_strained_edge_in_words(odometry, kind):
+    fit = Fit(9.25, (0.5, -1.0, 0.125), 0.026, 3)
+    assert repr(StrainedEdge("a", "a3", "a4", "", odometry, fit)) == (
+        f"StrainedEdge(a3 to a4, {kind} of robot a)\n"
+        "  chi2      9.25, 3 expected\n"
+        "  residual  x 0.5, y -1, theta 0.125 (m, rad)"
+    )
