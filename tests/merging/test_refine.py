@@ -67,6 +67,7 @@ def test_a_right_closure_that_was_left_out_comes_back(group):
     result = merge(world.graph, accepted=accepted, refine="recall")
     np.testing.assert_array_equal(result.accepted, world.is_true)
     assert np.flatnonzero(result.recalled).tolist() == [left_out]
+    assert result.refinement.rounds == 1  # one solve with it
     whole = merge(world.graph, accepted=world.is_true)
     assert result.solution.cost == pytest.approx(whole.solution.cost, rel=1e-8)
     np.testing.assert_allclose(
