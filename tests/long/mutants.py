@@ -237,7 +237,7 @@ def summary() -> str:
         listed += [f"- `{e['key']}`: {e.get('judged', 'not judged yet')}" for e in alive]
     head = ["folder", "mutants", "killed", "by time", "by a new test or a slow one"]
     head += ["equivalent", "alive", "killed of those that change something"]
-    commits = sorted({entry["commit"] for entry in entries})
+    commits = sorted({entry["commit"].split()[0] for entry in entries})
     return (
         "# Mutants\n\n`python -m tests.long.mutants`, of which this is the summary;"
         f" `mutants.jsonl` has each one. Commits {', '.join(commits)}; {machine()};"
