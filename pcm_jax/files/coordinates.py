@@ -187,5 +187,6 @@ def from_start_frame(
     space = rotation.shape[-1]
     turn = np.array(np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape))
     turn[:, :space, :space] = rotation
-    turned = np.swapaxes(turn, 1, 2) @ matrices @ turn
-    return 0.5 * (turned + np.swapaxes(turned, 1, 2))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused later
+        turned = np.swapaxes(turn, 1, 2) @ matrices @ turn
+        return 0.5 * (turned + np.swapaxes(turned, 1, 2))

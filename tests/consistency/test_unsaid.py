@@ -399,3 +399,7 @@ def test_what_is_written_says_as_much(tmp_path):
     with pytest.raises(InputError, match=r"closures\[0\]: information of rank 3 has no covariance"):
         write_jrl(tmp_path / "x.jrl", deep)
     assert not list(tmp_path.iterdir())
+
+
+def test_information_whose_inverse_is_beyond_floats_says_nothing():
+    assert ranks(np.stack([1e-310 * np.eye(6), np.eye(6)])).tolist() == [0, 6]
