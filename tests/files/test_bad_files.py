@@ -193,5 +193,5 @@ def test_information_that_overflows_where_it_is_turned(write):
     unit = "1 0 0 0 0 0 1e-308 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
     vertices = "VERTEX3 0 0 0 0 0 0 0", "VERTEX3 1 1 2 3 0 0 0"
     path = write(*vertices, f"EDGE3 0 1 1 2 3 0.1 0.2 0.3 {unit}")
-    with pytest.raises(FileFormatError, match=":3: .* given, expected a finite number"):
+    with pytest.raises(FileFormatError, match=r":3: .* given, expected a finite number"):
         read_graph(path, information="covariance")
