@@ -161,6 +161,23 @@ def test_house_rules(module):
         assert "print" not in calls(module)
 
 
+RUNS_WHAT_IT_READS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "subprocess"}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_nothing_that_is_read_is_run(module):
+    """No pickle, no eval, no shell: files come from other people."""
+    nodes = list(ast.walk(tree_of(module)))
+    assert not {name.split(".")[0] for node in nodes for name in _modules_of(node)} & (
+        RUNS_WHAT_IT_READS
+    )
+    assert not calls(module) & {"eval", "exec", "os.system", "os.popen", "compile"}
+    for node in nodes:
+        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.load", "np.save"):
+            allowed = [word for word in node.keywords if word.arg == "allow_pickle"]
+            assert [ast.unparse(word.value) for word in allowed] == ["False"]
+
+
 def test_test_modules_have_names_of_their_own():
     """pytest imports them by their bare names, of which a process has each once."""
     names = [path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py"]

@@ -8,7 +8,8 @@ import stat
 import numpy as np
 import pytest
 
-from pcm_jax.files.output import write_text
+from pcm_jax.errors import FileFormatError, InputError
+from pcm_jax.files.output import folder_written_whole, write_text
 from pcm_jax.store import Store, digest, write_json, written_whole
 
 
@@ -116,6 +117,30 @@ def test_no_two_writers_share_an_unfinished_file(tmp_path):
         first.write_text("1")
         second.write_text("2")
     assert [each.name for each in tmp_path.iterdir()] == ["one"]
+
+
+def test_a_folder_has_its_name_once_its_files_are_there(tmp_path):
+    folder = tmp_path / "maps"
+    with pytest.raises(RuntimeError), folder_written_whole(folder) as place:
+        write_text(place / "a", "1")
+        assert not folder.exists() and place.name.startswith(".")
+        raise RuntimeError
+    assert not list(tmp_path.iterdir())
+    with (
+        pytest.raises(InputError, match=f"^{folder / 'a'}: "),
+        folder_written_whole(folder) as place,
+    ):
+        (place / "a").mkdir()
+        write_text(place / "a", "1")
+    with folder_written_whole(folder) as place:
+        write_text(place / "a", "1")
+    assert [each.name for each in tmp_path.iterdir()] == ["maps"]
+    with folder_written_whole(folder) as place:  # one that is there keeps what else is in it
+        write_text(place / "b", "2")
+    assert sorted(each.name for each in folder.iterdir()) == ["a", "b"]
+    nowhere = folder_written_whole(tmp_path / "no" / "maps")
+    with pytest.raises(FileFormatError, match="cannot be written: No such file"), nowhere:
+        pass
 
 
 def test_results_that_were_changed_are_none(tmp_path):

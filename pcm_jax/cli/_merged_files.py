@@ -11,7 +11,7 @@ import numpy as np
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files import write_candidates, write_g2o, write_trajectory
 from pcm_jax.files.formats.g2o import fit_keys, table_path
-from pcm_jax.files.output import check_target
+from pcm_jax.files.output import check_target, folder_written_whole
 from pcm_jax.files.write import format_of_suffix, write_graph
 from pcm_jax.graph import LoopClosures, MultiRobotGraph
 
@@ -61,16 +61,16 @@ def _numbered(name: str, number: int) -> str:
 
 
 def _robot_by_robot(folder: Path, graph: MultiRobotGraph) -> Iterator[Path]:
-    folder.mkdir(exist_ok=True)
-    for one in graph.maps:
-        if "/" in one.name or one.name in (".", ".."):
-            raise InputError(f"--output: the robot name {one.name!r} is no file name")
-        write_g2o(folder / f"{one.name}.g2o", one)
-        yield folder / f"{one.name}.g2o"
-        write_trajectory(folder / f"{one.name}.tum", one)
-        yield folder / f"{one.name}.tum"
-    write_candidates(folder / "closures.csv", graph)
-    yield folder / "closures.csv"
+    names = []
+    with folder_written_whole(folder) as place:
+        for one in graph.maps:
+            if "/" in one.name or one.name in (".", ".."):
+                raise InputError(f"--output: the robot name {one.name!r} is no file name")
+            write_g2o(place / f"{one.name}.g2o", one)
+            write_trajectory(place / f"{one.name}.tum", one)
+            names += [f"{one.name}.g2o", f"{one.name}.tum"]
+        write_candidates(place / "closures.csv", graph)
+    yield from (folder / name for name in [*names, "closures.csv"])
 
 
 def write_rejected(path: Path, result: Any) -> None:

@@ -21,22 +21,27 @@ def read_report(path: Path) -> dict[str, Any]:
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
-        raise _not_ours(path, "no text") from None
+        raise not_ours(path, "no text") from None
     except json.JSONDecodeError as error:
         raise FileFormatError(path, error.lineno, f"no JSON: {error.msg}") from None
+    except (RecursionError, ValueError) as error:  # lists in lists, integers of thousands of digits
+        raise FileFormatError(path, None, f"no JSON: {error}") from None
     if not isinstance(report, dict):
-        raise _not_ours(path, f"a JSON {type(report).__name__}")
+        raise not_ours(path, f"a JSON {type(report).__name__}")
     for key in OURS:
         if key not in report:
-            raise _not_ours(path, f"JSON without {key!r}")
+            raise not_ours(path, f"JSON without {key!r}")
+    if not isinstance(report["closures"], list):
+        raise not_ours(path, "closures that are no list")
     for number, row in enumerate(report["closures"]):
         missing = [key for key in OF_CLOSURE if not isinstance(row, dict) or key not in row]
         if missing:
-            raise _not_ours(path, f"closures[{number}] without {missing[0]!r}")
+            raise not_ours(path, f"closures[{number}] without {missing[0]!r}")
     return report
 
 
-def _not_ours(path: Path, found: str) -> FileFormatError:
+def not_ours(path: Path, found: str) -> FileFormatError:
+    """The error for a file that is no report of a merge."""
     return FileFormatError(
         path, None, f"{found}, expected a report that pcm-jax merge --report of this version wrote"
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from pcm_jax.cli._reports import read_report
+from pcm_jax.cli._reports import not_ours, read_report
 from pcm_jax.errors import FileFormatError
 
 USABLE = 1.0 - 1e-9  # confidence above which a gate lets nearly everything in
@@ -23,7 +23,10 @@ def run(options: Any) -> None:
             options.report, None, f"closure {options.closure} asked for, {expected}"
         )
     row = closures[options.closure]
-    print(json.dumps(row, indent=2) if options.json else explained(report, row))
+    try:
+        print(json.dumps(row, indent=2) if options.json else explained(report, row))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+        raise not_ours(options.report, f"closures[{options.closure}] with other content") from None
 
 
 def explained(report: dict[str, Any], row: dict[str, Any]) -> str:

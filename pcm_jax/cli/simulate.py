@@ -10,7 +10,7 @@ import numpy as np
 from pcm_jax.cli._outputs import json_text
 from pcm_jax.errors import FileFormatError
 from pcm_jax.files import write_candidates, write_g2o, write_trajectory
-from pcm_jax.files.output import check_target, write_text
+from pcm_jax.files.output import check_target, folder_written_whole, write_text
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.simulation import SimulatedWorld, simulate_city, simulate_sessions
 
@@ -24,11 +24,12 @@ def run(options: Any) -> None:
     _check_folder(folder)
     arguments = {k: v for k, v in vars(options).items() if k not in _NOT_THE_WORLDS}
     world = _WORLDS[options.world](**arguments)
-    folder.mkdir(exist_ok=True)
-    command = _write_plain(folder, world.graph) if options.csv else _write_one(folder, world.graph)
-    for graph, poses in zip(world.graph.maps, world.truth, strict=True):
-        write_trajectory(folder / f"truth_{graph.name}.txt", poses)
-    write_text(folder / "labels.json", json_text(_labels(world, options.world, arguments)))
+    with folder_written_whole(folder) as place:
+        given = _write_plain(place, world.graph) if options.csv else _write_one(place, world.graph)
+        for graph, poses in zip(world.graph.maps, world.truth, strict=True):
+            write_trajectory(place / f"truth_{graph.name}.txt", poses)
+        write_text(place / "labels.json", json_text(_labels(world, options.world, arguments)))
+    command = " ".join(str(folder / name) if "." in name else name for name in given)
     print(
         f"wrote {folder}: {len(world.graph.maps)} robots, {len(world.labels)} closures,"
         f" {int(world.is_true.sum())} of them true (labels.json)\n"
@@ -42,17 +43,18 @@ def _check_folder(folder: Path) -> None:
     check_target(folder / "labels.json" if folder.is_dir() else folder)
 
 
-def _write_one(folder: Path, graph: MultiRobotGraph) -> str:
+def _write_one(folder: Path, graph: MultiRobotGraph) -> list[str]:
     write_g2o(folder / "graph.g2o", graph)
-    return f"{folder / 'graph.g2o'}"
+    return ["graph.g2o"]
 
 
-def _write_plain(folder: Path, graph: MultiRobotGraph) -> str:
-    paths = [folder / f"{one.name}.g2o" for one in graph.maps]
-    for path, one in zip(paths, graph.maps, strict=True):
-        write_g2o(path, one)
+def _write_plain(folder: Path, graph: MultiRobotGraph) -> list[str]:
+    """Gives the files as arguments of `merge`."""
+    names = [f"{one.name}.g2o" for one in graph.maps]
+    for name, one in zip(names, graph.maps, strict=True):
+        write_g2o(folder / name, one)
     write_candidates(folder / "candidates.csv", graph)
-    return f"{' '.join(map(str, paths))} --closures {folder / 'candidates.csv'}"
+    return [*names, "--closures", "candidates.csv"]
 
 
 def _labels(world: SimulatedWorld, kind: str, arguments: dict[str, Any]) -> dict[str, Any]:

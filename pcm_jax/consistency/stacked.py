@@ -27,6 +27,7 @@ from pcm_jax import lie
 from pcm_jax.consistency.evidence import PairEvidence
 from pcm_jax.consistency.limit import DIFFERENT
 from pcm_jax.errors import InputError
+from pcm_jax.graph import LoopClosures
 from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.mapping import MapCovariance
 
@@ -310,13 +311,8 @@ def stack_closures(evidence: PairEvidence, rows: Int[np.ndarray, " k"]) -> Stack
     Raises:
         InputError: for evidence without maps, as `PairEvidence.from_squared` makes it.
     """
-    if evidence.covariances is None or evidence.measured is None:
-        raise InputError(
-            "evidence: of distances alone, expected that of two maps and the closures between "
-            "them, as weigh(graph) gives"
-        )
-    a, b = evidence.covariances
-    closures = evidence.measured[rows]
+    (a, b), measured = maps_of(evidence)
+    closures = measured[rows]
     pose_a, pose_b = np.asarray(closures.pose_a), np.asarray(closures.pose_b)
     seen = lie.compose(lie.take(a.frame, pose_a), lie.as_numpy(closures.measurement))
     ends = lie.take(b.frame, pose_b)
@@ -330,6 +326,22 @@ def stack_closures(evidence: PairEvidence, rows: Int[np.ndarray, " k"]) -> Stack
         lever=1.0 + float(np.sqrt((lie.translation(ends) ** 2).sum(axis=1).mean())),
         free=None if free is None else adjoint @ free,
     )
+
+
+def maps_of(
+    evidence: PairEvidence,
+) -> tuple[tuple[MapCovariance, MapCovariance], LoopClosures]:
+    """The covariances of two maps and the closures between them.
+
+    Raises:
+        InputError: for evidence without maps, as `PairEvidence.from_squared` makes it.
+    """
+    if evidence.covariances is None or evidence.measured is None:
+        raise InputError(
+            "evidence: of distances alone, expected that of two maps and the closures between "
+            "them, as weigh(graph) gives"
+        )
+    return evidence.covariances, evidence.measured
 
 
 def _gathered(covariance: MapCovariance, poses: np.ndarray) -> Float[np.ndarray, "k d k d"]:

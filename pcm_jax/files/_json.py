@@ -95,10 +95,9 @@ class Member:
         values = self.value
         if not isinstance(values, list) or len(values) != count or not _numeric(values):
             raise self.fault(f"{_kind(values)} given, expected {count} numbers")
-        array = np.array(values, np.float64)
-        if not (np.abs(array) <= LARGEST).all():
+        if not all(abs(one) <= LARGEST for one in values):  # of integers of any length as well
             raise self.fault("a number that is not finite given, expected finite numbers")
-        return array
+        return np.array(values, np.float64)
 
     def number(self) -> float:
         """A finite number."""

@@ -164,8 +164,8 @@ def information(
 
 def inverted(covariance: Float[np.ndarray, "e d d"]) -> Float[np.ndarray, "e d d"]:
     """The inverses, exactly symmetric."""
-    matrices = np.linalg.inv(covariance)
-    return 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
+    half = 0.5 * np.linalg.inv(covariance)  # halved first, as a sum may be too large for a float
+    return half + np.swapaxes(half, 1, 2)
 
 
 def from_quaternion_vector(matrices: Float[np.ndarray, "e 6 6"]) -> Float[np.ndarray, "e 6 6"]:
@@ -187,5 +187,6 @@ def from_start_frame(
     space = rotation.shape[-1]
     turn = np.array(np.broadcast_to(np.eye(matrices.shape[-1]), matrices.shape))
     turn[:, :space, :space] = rotation
-    turned = np.swapaxes(turn, 1, 2) @ matrices @ turn
-    return 0.5 * (turned + np.swapaxes(turned, 1, 2))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused later
+        turned = np.swapaxes(turn, 1, 2) @ matrices @ turn
+        return 0.5 * (turned + np.swapaxes(turned, 1, 2))

@@ -5,10 +5,14 @@ from __future__ import annotations
 import gzip
 import lzma
 import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 
-from pcm_jax.errors import FileFormatError, check_class
+from pcm_jax.errors import FileFormatError, InputError, check_class
 from pcm_jax.store import written_whole
 
 
@@ -27,6 +31,34 @@ def check_target(path: str | PathLike[str]) -> Path:
     if not os.access(target if target.exists() else target.parent, os.W_OK):
         raise FileFormatError(target, None, "cannot be written: permission denied")
     return target
+
+
+@contextmanager
+def folder_written_whole(folder: str | PathLike[str]) -> Iterator[Path]:
+    """Hands out a folder to write files to, and gives it its name once they are all there.
+
+    A folder that is there already is handed out itself: its files are replaced one by one.
+
+    Raises:
+        FileFormatError: where the system refuses to make or rename it.
+        InputError: as what is done with it, the folder called by its own name.
+    """
+    target = Path(folder)
+    if target.is_dir():
+        yield target
+        return
+    named = Path(os.path.realpath(target))
+    unfinished = named.with_name(f".{named.name[:100]}.{secrets.token_hex(8)}")
+    try:
+        unfinished.mkdir()
+        yield unfinished
+        unfinished.rename(named)
+    except InputError as error:
+        raise InputError(str(error).replace(str(unfinished), str(target))) from None
+    except OSError as error:
+        raise FileFormatError(folder, None, f"cannot be written: {error.strerror}") from None
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:

@@ -162,7 +162,8 @@ def _scaled(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     variance = np.empty((len(information), d))
     for kind, otherwise in ((slice(0, space), SHIFT_VARIANCE), (slice(space, d), TURN_VARIANCE)):
         own = np.diagonal(information, axis1=1, axis2=2)[:, kind]
-        stated = own > TINY * own.max(axis=1, initial=0.0)[:, None]
+        least = np.maximum(TINY * own.max(axis=1, initial=0.0), np.finfo(np.float64).tiny)
+        stated = own > least[:, None]
         each = np.where(stated, 1.0 / np.where(stated, own, 1.0), 0.0)
         mean = each.sum(axis=1) / np.maximum(stated.sum(axis=1), 1)
         mean = np.where(stated.any(axis=1), mean, otherwise)

@@ -102,8 +102,8 @@ def unit_rotations(
         columns: the order in which a file should have them; "" for what was no file.
 
     Raises:
-        InputError: through `fault`, for a norm of zero, and, in a file, for one that is more than
-            1 % from one: no rounding, but other columns.
+        InputError: through `fault`, for a norm of zero or infinity, and, in a file, for one that
+            is more than 1 % from one: no rounding, but other columns.
 
     Warns:
         InputWarning: once, with the number of norms further than 1e-3 from one.
@@ -111,8 +111,10 @@ def unit_rotations(
     if size == 0:
         return parameters
     what = "quaternion" if size == 4 else "cosine and sine"
-    norm = np.sqrt(np.sum(np.square(parameters[:, :size]), axis=1))
-    raise_first(norm == 0.0, fault, lambda _: f"{what} of norm 0, expected norm 1")
+    with np.errstate(over="ignore"):
+        norm = np.sqrt(np.sum(np.square(parameters[:, :size]), axis=1))
+    none = (norm == 0.0) | np.isinf(norm)
+    raise_first(none, fault, lambda row: f"{what} of norm {norm[row]:g}, expected norm 1")
     raise_first(
         (np.abs(norm - 1.0) > ROUNDING) & bool(columns),
         fault,

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import struct
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,11 @@ from pcm_jax.store import digest, written_whole
 
 VERSION = 2
 Arrays = dict[str, np.ndarray]
+# What Python's modules raise for an archive that is none, was cut short or changed.
+BROKEN = (
+    *(ValueError, KeyError, TypeError, AttributeError, RuntimeError, OSError, EOFError),
+    *(MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
+)
 MEASURED = ("robot_a", "pose_a", "robot_b", "pose_b", "information", "weight")
 
 
@@ -54,13 +61,14 @@ def read(path: Path, form: str) -> tuple[dict[str, Any], Arrays]:
         FileFormatError: for a file of another kind or version, one that is cut short or changed.
         OSError: for one that cannot be opened.
     """
-    try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        meta = json.loads(arrays.pop("meta").tobytes())
-        version, found = meta.pop("version"), meta.pop("digest")
-    except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile) as error:
-        raise FileFormatError(path, None, f"not a state that {form} saved") from error
+    with path.open("rb") as opened:
+        try:
+            with np.load(opened, allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            meta = json.loads(arrays.pop("meta").tobytes())
+            version, found = meta.pop("version"), meta.pop("digest")
+        except BROKEN as error:
+            raise FileFormatError(path, None, f"not a state that {form} saved") from error
     if version != VERSION:
         raise FileFormatError(path, None, f"version {version!r}, expected {VERSION}")
     if found != _digest(meta, arrays):

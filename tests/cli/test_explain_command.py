@@ -71,12 +71,20 @@ def test_what_was_not_weighed(run, tmp_path):
     assert "chi-squared" in ran.out
 
 
+def _of_fourth(report, **changes):
+    report["closures"][4] |= changes
+    return report
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda report: report["robots"], ": a JSON list, expected a report that pcm-jax merge"),
         (lambda report: {"robots": []}, ": JSON without 'version', expected a report"),
         (lambda report: report["closures"][2].pop("why") and report, ": closures[2] without 'why'"),
+        (lambda report: report | {"closures": 7}, ": closures that are no list, expected a rep"),
+        (lambda report: _of_fourth(report, fit={}), ": closures[4] with other content, expected"),
+        (lambda report: _of_fourth(report, worst_conflict={"with": 10**6}), "[4] with other cont"),
         (lambda report: report | {"closures": []}, ": closure 4 asked for, but the report has no"),
         (lambda report: report | {"closures": report["closures"][:4]}, "closure 4 asked for, exp"),
     ],
@@ -99,6 +107,9 @@ def test_what_is_no_json(run, city, tmp_path):
     )
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     assert "no text, expected a report" in run("explain", tmp_path / "binary", 0).err
+    for text in ("[" * 100_000, "9" * 5000):  # deeper and longer than Python reads
+        (tmp_path / "deep").write_text(text)
+        assert "deep: no JSON: " in run("explain", tmp_path / "deep", 0).err
     assert "No such file" in run("explain", tmp_path / "nothing.json", 0).err
     assert run("explain", city / "graph.g2o", "x").status == 2
 

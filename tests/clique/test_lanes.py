@@ -249,6 +249,14 @@ def test_subgraphs_are_those_of_the_graph_and_move_together(words):
         assert (np.diff(degree) <= 0).all()
 
 
+def test_classes_are_counted_in_an_octet_and_do_not_wrap():
+    lanes, classes = np.arange(5), np.array([1, 2, 256, 257, 5000])
+    colourings = Colourings(1)
+    colourings.rearrange(np.zeros(0, np.int64), 5)
+    colourings.start(lanes, np.ones((1, 5), np.uint64), np.zeros(5, np.uint64), classes)
+    assert colourings.left.tolist() == [0, 1, 255, 255, 255]
+
+
 @pytest.mark.parametrize("words", [1, 2, 4])
 def test_lanes_colour_as_a_greedy_colouring_from_the_lowest_place_does(words):
     width, generator = 64 * words, np.random.default_rng(words)

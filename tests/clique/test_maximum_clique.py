@@ -86,6 +86,24 @@ def test_heuristic_is_a_clique_with_a_valid_certificate():
     assert smaller > 0
 
 
+def test_the_bound_by_degeneracy_holds_where_it_is_sharp():
+    """Five vertices all joined, each to a hub of its own: the degeneracy is four, the clique five.
+
+    The heuristic follows the hubs' degrees, and finds two.
+    """
+    size, leaves = 5, 20
+    hubs = size + np.arange(size)
+    adjacency = np.zeros((2 * size + size * leaves,) * 2, bool)
+    adjacency[:size, :size] = ~np.eye(size, dtype=bool)
+    adjacency[np.arange(size), hubs] = True
+    adjacency[np.repeat(hubs, leaves), 2 * size + np.arange(size * leaves)] = True
+    adjacency |= adjacency.T
+    quick = maximum_clique(adjacency, method="heuristic")
+    assert (quick.size, quick.upper_bound, quick.optimal) == (2, 5, False)
+    assert maximum_clique(adjacency, time_limit=0.0).upper_bound >= 5
+    assert maximum_clique(adjacency).size == 5
+
+
 def test_heuristic_takes_the_largest_degree_in_the_whole_graph():
     # Vertex 0 has a triangle (0 1 2) and a neighbour 3 of larger degree in the whole graph,
     # which shares no neighbour with it: started at 0, HeuPatt ends with {0, 3}.

@@ -95,6 +95,7 @@ def test_the_limit_is_m_restricted_to_what_both_closures_say(group, said, freedo
 def test_a_closure_that_says_all_is_judged_by_what_the_other_says():
     problem = problem_of(jaxlie.SE3, POSITION, rows=slice(0, 4))
     squared, degrees = limits_of(problem)
+    np.testing.assert_array_equal(np.diag(degrees), 6)
     expected, dof = by_projection(problem, 6, 1)
     assert dof == degrees[6, 1] == 3 and degrees[6, 7] == 6 and degrees[0, 1] == 1
     np.testing.assert_allclose(squared[6, 1], expected, rtol=1e-9)
@@ -398,3 +399,7 @@ def test_what_is_written_says_as_much(tmp_path):
     with pytest.raises(InputError, match=r"closures\[0\]: information of rank 3 has no covariance"):
         write_jrl(tmp_path / "x.jrl", deep)
     assert not list(tmp_path.iterdir())
+
+
+def test_information_whose_inverse_is_beyond_floats_says_nothing():
+    assert ranks(np.stack([1e-310 * np.eye(6), np.eye(6)])).tolist() == [0, 6]

@@ -179,3 +179,19 @@ def test_importing_the_readers_does_not_import_scipy():
     """Reading a file needs csgraph; importing the package must not."""
     code = "import sys, pcm_jax.files; sys.exit('scipy.sparse.csgraph' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.filterwarnings("ignore::pcm_jax.errors.InputWarning")
+def test_information_whose_inverse_is_at_the_end_of_floats(write):
+    """Looking at what sigmas it would mean overflows nowhere."""
+    unit = "1 0 0 1 0"
+    read_graph(write(f"ODOMETRY 0 1 1 0 0.5 {unit} 1e-308", f"EDGE2 0 1 1 0 0.5 {unit} 1"))
+
+
+def test_information_that_overflows_where_it_is_turned(write):
+    """Of a covariance in the frame of the edge's start, in TORO's files."""
+    unit = "1 0 0 0 0 0 1e-308 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
+    vertices = "VERTEX3 0 0 0 0 0 0 0", "VERTEX3 1 1 2 3 0 0 0"
+    path = write(*vertices, f"EDGE3 0 1 1 2 3 0.1 0.2 0.3 {unit}")
+    with pytest.raises(FileFormatError, match=r":3: .* given, expected a finite number"):
+        read_graph(path, information="covariance")

@@ -220,6 +220,12 @@ def test_plain_poses_2d(save):
             ),
             "quaternion of norm 3 is no rounding",
         ),
+        (
+            lambda v: v["measurements"]["a"][1]["measurements"][0]["measurement"].update(
+                rotation=[10**400, 0, 0, 0]
+            ),
+            "rotation: a number that is not finite given",
+        ),
         (lambda v: v["measurements"]["a"][1].update(stamp="now"), r"a\[1\].stamp: .* given"),
     ],
 )

@@ -103,6 +103,20 @@ def test_edges_without_a_covariance(save):
     np.testing.assert_allclose(graph.maps[0].information[0], np.diag([100] * 3 + [1e4] * 3))
 
 
+@pytest.mark.parametrize(
+    ("robot", "key", "message"),
+    [
+        (0, 1 << 40, "key 1099511627776 given, expected a symbol, or 0 … 1099511627775"),
+        (1 << 23, 0, "robot 8388608 given, expected 0 … 4194303"),
+        (-1, 0, "robot -1 given, expected 0 … 4194303"),
+    ],
+)
+def test_numbers_that_would_be_another_robots(save, robot, key, message):
+    """Or of none: robots' poses are told apart by one number."""
+    with pytest.raises(FileFormatError, match=message):
+        read_graph(save([(NODES, [*STEPS, (((0, 1), (robot, key)), 7.0, 1)])]))
+
+
 def test_a_bag_without_graphs(save):
     with pytest.raises(FileFormatError, match="no messages of pose_graph_tools_msgs/PoseGraph"):
         read_graph(save([]))

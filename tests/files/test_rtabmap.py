@@ -144,3 +144,47 @@ def test_nodes_and_links_that_hold_nothing(base):
         graph = read_graph(base)
     assert [one.num_poses for one in graph.maps] == [3, 3]
     assert len(graph.closures) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("UPDATE Node SET map_id = 'one' WHERE id = 2", r"row 2: Node.map_id is 'one', expected"),
+        ("UPDATE Link SET from_id = 1.5 WHERE rowid = 1", r"row 1: Link.from_id is '1.5', exp"),
+        ("UPDATE Link SET type = NULL WHERE rowid = 3", r"row 3: Link.type is 'None', expected an"),
+        ("UPDATE Link SET transform = 7 WHERE rowid = 1", "expected 36 doubles and 12 floats"),
+    ],
+)
+def test_values_of_another_kind(base, change, message):
+    """SQLite keeps them in any column."""
+    with sqlite3.connect(base) as opened:
+        opened.execute(change)
+    opened.close()
+    with pytest.raises(FileFormatError, match=message):
+        read_graph(base)
+
+
+@pytest.mark.filterwarnings("ignore:.*skipped 1 lines")
+def test_stamps_that_are_none(base):
+    with sqlite3.connect(base) as opened:
+        opened.execute("UPDATE Node SET stamp = 'noon' WHERE id = 1")
+    opened.close()
+    np.testing.assert_array_equal(read_graph(base).maps[0].stamps, [np.nan, 1002, 1003])
+
+
+def test_numbers_that_signal(base):
+    """A NaN of the kind that a processor complains of is no pose, like any other."""
+    signalling = np.full(12, 0x7FA00000, np.uint32).tobytes()
+    with sqlite3.connect(base) as opened:
+        opened.execute("UPDATE Node SET pose = ? WHERE id = 1", (signalling,))
+    opened.close()
+    with pytest.raises(FileFormatError, match="edge to pose 1, which no VERTEX line defines"):
+        read_graph(base)
+
+
+def test_a_schema_that_is_no_text(base):
+    """SQLite's own message about it is none either."""
+    data = base.read_bytes()
+    base.write_bytes(data.replace(b"CREATE TABLE Link", b"CREATE TABL\xf4 Link"))
+    with pytest.raises(FileFormatError, match=r"two\.db: damaged database"):
+        read_graph(base)

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from pcm_jax.errors import FileFormatError
+from pcm_jax.files.text import line_fault
 from pcm_jax.graph import symbols
-from pcm_jax.graph.validation import clip_to_definite, positive_definite
+from pcm_jax.graph.validation import clip_to_definite, positive_definite, unit_rotations
 
 
 @pytest.mark.parametrize("d", [1, 3, 6])
@@ -21,6 +23,14 @@ def test_semidefinite_is_not_definite(matrix):
 
 def test_nearly_singular_is_definite():
     assert positive_definite(np.diag([1.0, 4.0, 1.5e-9])[None])[0]
+
+
+@pytest.mark.parametrize(("size", "value"), [(4, 1e200), (2, 1e155), (4, 0.0)])
+def test_rotations_without_a_norm_are_refused(size, value):
+    rows = np.stack([np.eye(size + 2)[0], np.full(size + 2, value)])
+    fault = line_fault("a.bag", np.array([1, 2]))
+    with pytest.raises(FileFormatError, match=r"a\.bag:2: .* of norm (inf|0), expected norm 1"):
+        unit_rotations(rows, size, fault)
 
 
 def test_clip_touches_only_what_has_no_factor(rng):

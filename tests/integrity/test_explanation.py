@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import jaxlie
 import numpy as np
@@ -25,7 +26,8 @@ from pcm_jax import (
 from pcm_jax.consistency.definition import loop_error
 from pcm_jax.integrity import STANDINGS, explain
 from pcm_jax.integrity._loops import Loops
-from pcm_jax.integrity._sentences import confidence, number
+from pcm_jax.integrity._sentences import _accepted, confidence, number
+from pcm_jax.integrity.residuals import Fit, StrainedEdge
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 SIMULATED = {"SE2": simulate_city, "SE3": simulate_sessions}
@@ -450,3 +452,28 @@ def test_a_confidence_has_as_many_nines_as_it_needs():
         assert confidence(value) == told
     for value in (0.72139, 0.980894, 0.99123456, 1.0 - 3.3e-8):
         assert 0.0 <= float(confidence(value)) - value <= 0.1 * (1.0 - value)
+
+
+@pytest.mark.parametrize(
+    ("agrees", "of", "words"),
+    [
+        (1, 1, "was accepted: it agrees with the other accepted one; worst"),
+        (2, 2, "was accepted: it agrees with both other accepted ones; worst with closure 7"),
+        (3, 3, "was accepted: it agrees with all 3 other accepted ones; worst with"),
+        (2, 3, "was accepted, though it agrees with 2 of the 3 other accepted ones; worst"),
+    ],
+)
+def test_how_many_others_a_closure_agrees_with(agrees, of, words):
+    worst = SimpleNamespace(index=7, translation=np.nan)
+    told = SimpleNamespace(worst_conflict=worst, agrees_with=agrees, of=of, fit=None)
+    assert _accepted(told).startswith(words)
+
+
+@pytest.mark.parametrize(("odometry", "kind"), [(True, "odometry"), (False, "loop")])
+def test_a_strained_edge_in_words(odometry, kind):
+    fit = Fit(9.25, (0.5, -1.0, 0.125), 0.026, 3)
+    assert repr(StrainedEdge("a", "a3", "a4", "", odometry, fit)) == (
+        f"StrainedEdge(a3 to a4, {kind} of robot a)\n"
+        "  chi2      9.25, 3 expected\n"
+        "  residual  x 0.5, y -1, theta 0.125 (m, rad)"
+    )

@@ -11,7 +11,7 @@ import pcm_jax
 from pcm_jax import chi2_gate, lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.integrity.calibration import Factor, closing_edges, scaled_graph
+from pcm_jax.integrity.calibration import Factor, _how, closing_edges, scaled_graph
 from pcm_jax.integrity.variance_components import (
     Part,
     _Cut,
@@ -197,6 +197,23 @@ def test_false_loops_are_left_out():
     assert false <= found.left_out <= false + 15
     for factor in found.factors:
         assert 0.5 < factor < 2.0
+
+
+@pytest.mark.parametrize(
+    ("factor", "interval", "words"),
+    [
+        (2.25, (1.5, 3.4), "errors are stated 1.5 times too large (information times 2.25, 1.5 to"),
+        (0.25, (0.2, 0.3), "errors are stated 2 times too small (information times 0.25, 0.2 to"),
+        (1.2, (1.1, 1.3), "errors are about as stated (information times 1.2, 1.1 to 1.3)"),
+        (0.9, (0.6, 1.3), "errors are about as stated (information times 0.9, 0.6 to 1.3)"),
+        (0.7, (0.5, 1.0), "errors are about as stated (information times 0.7, 0.5 to 1)"),
+        (1.0, (0.3, 3.1), "errors may be as stated (information times 1, 0.3 to 3.1)"),
+        (3.0, (1.1, 12.0), "errors are stated 1.73 times too large (information times 3, 1.1 to"),
+        (1.0, (0.0, np.inf), "errors cannot be told from these data"),
+    ],
+)
+def test_how_errors_are_stated(factor, interval, words):
+    assert _how(Factor(factor, interval)).startswith(words)
 
 
 def test_words(calibration):

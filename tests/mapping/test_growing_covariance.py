@@ -85,8 +85,9 @@ def test_odometry_changes_nothing_before_it_and_adds_its_own(world):
     once = before.extend(grown(world, 2))
     longer = grown(world, 5, backward=(1, 3))
     twice = before.extend(grown(world, 2, backward=(1,))).extend(longer)
+    by_three = before.extend(grown(world, 3, backward=(1,))).extend(longer)
     np.testing.assert_array_equal(twice.origin, before.origin)
-    for covariance, one in ((once, grown(world, 2)), (twice, longer)):
+    for covariance, one in ((once, grown(world, 2)), (twice, longer), (by_three, longer)):
         poses = np.array([0, 7, 69, *range(70, one.num_poses)])
         expected = joint_of(MapCovariance(one, origin=before.origin), poses)
         found = columns_of(covariance, poses)

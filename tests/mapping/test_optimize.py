@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ import lineax as lx
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from scipy.stats import chi2
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
@@ -28,7 +30,13 @@ from pcm_jax.mapping._normal_equations import (
     DampedJacobian,
 )
 from pcm_jax.mapping.least_squares import PoseProblem, padded_edges
-from pcm_jax.mapping.optimization import host_arrays, optimize_from
+from pcm_jax.mapping.optimization import (
+    UNLIKELY,
+    Solution,
+    _is_suspicious,
+    host_arrays,
+    optimize_from,
+)
 from pcm_jax.sparse import registry
 from pcm_jax.sparse.system import System
 
@@ -399,6 +407,19 @@ def test_other_starts_are_tried_where_the_first_is_doubted(seed, rotation):
     assert solution.cost < 0.9 * first.cost
     assert solution.cost == pytest.approx(optimize(walk, initial=solution.start).cost, rel=1e-12)
     assert f"from {solution.start} poses" in repr(solution)
+
+
+@pytest.mark.parametrize(("share", "doubted"), [(0.99, True), (1.01, False)])
+def test_a_cost_is_doubted_where_chance_hardly_gives_it(make_map, share, doubted):
+    """Twice the cost is chi-squared, of d degrees for every edge that closes a loop."""
+    graph = make_map(jaxlie.SE2, poses=12, loops=5)
+    freedom = 3 * (graph.num_edges - 11)
+    cost = 0.5 * chi2.isf(share * UNLIKELY, freedom)
+    found = Solution(graph, cost, cost, 3, True)
+    problem = SimpleNamespace(cost=lambda _: np.inf)
+    assert bool(_is_suspicious(graph, problem, found)) is doubted
+    assert _is_suspicious(graph, problem, dataclasses.replace(found, converged=False))
+    assert not _is_suspicious(graph, None, found)
 
 
 def test_poses_that_cost_less_are_taken_up():

@@ -59,6 +59,19 @@ def first(count, total):
     return np.arange(total) < count
 
 
+def test_a_closure_comes_back_once_others_have_moved_the_map():
+    """Accepted: four about 0 m. Of 4.1 m χ² is 4.1² / 1.25 = 13.4, above the gate of 11.3.
+
+    With four of 3.5 m back, whose own is 9.8, the map is at 1.75 m, and it is 2.35² / 1.125 = 4.9.
+    """
+    about = [-1.2, 1.2, -0.9, 0.9]
+    result = merge(two_lines([*about, *[3.5] * 4, 4.1]), accepted=first(4, 9), refine="recall")
+    assert result.accepted.all()
+    assert result.refinement.rounds == 2
+    alone = merge(two_lines([*about, 4.1]), accepted=first(4, 5), refine="recall")
+    assert alone.accepted.tolist() == [True] * 4 + [False]
+
+
 def test_a_right_closure_that_was_left_out_comes_back(group):
     world = world_of(group)
     left_out = np.flatnonzero(world.is_true)[2]
@@ -67,6 +80,7 @@ def test_a_right_closure_that_was_left_out_comes_back(group):
     result = merge(world.graph, accepted=accepted, refine="recall")
     np.testing.assert_array_equal(result.accepted, world.is_true)
     assert np.flatnonzero(result.recalled).tolist() == [left_out]
+    assert result.refinement.rounds == 1  # one solve with it
     whole = merge(world.graph, accepted=world.is_true)
     assert result.solution.cost == pytest.approx(whole.solution.cost, rel=1e-8)
     np.testing.assert_allclose(

@@ -10,10 +10,12 @@ from scipy.stats import chi2, multivariate_normal
 
 from pcm_jax import lie
 from pcm_jax.cli._arguments import parser
+from pcm_jax.consistency import chi2_gate, odometry_edges
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.merging import ROBUST_METHODS
 from pcm_jax.merging.robust import solve as robust
+from pcm_jax.merging.robust.methods import GROWTH, from_here
 from pcm_jax.merging.robust.weights import (
     dcs_scale,
     max_mixture_weight,
@@ -48,6 +50,36 @@ def test_scales_worked_by_hand():
     expected = [1.0, 1.0, np.sqrt(2.0) - 1.0, 0.0, 0.0]
     np.testing.assert_allclose(truncated_weight(squared, 4.0, 1.0), expected, atol=1e-15)
     np.testing.assert_array_equal(max_mixture_weight(squared, 4.0, 0.1), [1, 1, 1, 0.1, 0.1])
+
+
+def test_weights_from_poses_that_are_believed_worked_by_hand():
+    """The largest χ² of 8 and γ² = 4: μ = 4 / (2·8 − 4) = 1/3, then 1.4 times that."""
+    update = from_here(4.0).update
+    squared = np.array([0.5, 1.0, 4.0, 8.0])
+    weights, control = update(squared, None)
+    assert control == pytest.approx(1.0 / 3.0)
+    # Between γ² μ / (μ + 1) = 1 and 16: 4/3 / χ − 1/3.
+    partly = 4.0 / 3.0 / np.sqrt(squared) - 1.0 / 3.0
+    np.testing.assert_allclose(weights, [1.0, 1.0, partly[2], partly[3]], rtol=1e-12)
+    assert update(squared, control)[1] == pytest.approx(GROWTH / 3.0)
+    weights, control = update(np.array([0.0, 1.9, 2.0]), None)
+    assert weights.tolist() == [1.0, 1.0, 1.0] and np.isinf(control)
+    assert update(np.array([3.9, 4.1]), control)[0].tolist() == [1.0, 0.0]
+
+
+def test_the_first_cost_is_that_of_the_start_by_the_first_weights():
+    one = simulate_city(seed=3, poses=60, robots=1).graph.maps[0]
+    doubted = np.flatnonzero(~odometry_edges(one))
+    reweighting = from_here(chi2_gate(0.5, 3))
+    turns = robust.reweighted(
+        one, doubted, reweighting, solver="levenberg-marquardt", engine="blocks"
+    )
+    parts = one.tail, one.head, lie.as_numpy(one.measurement), np.asarray(one.information)
+    squared = robust.squared_residuals(lie.as_numpy(one.poses), *parts)
+    weights = np.ones(one.num_edges)
+    weights[doubted] = reweighting.update(squared[doubted], None)[0]
+    assert turns.iterations > 1 and len(doubted) > 3
+    assert turns.initial_cost == pytest.approx(0.5 * weights @ squared, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -404,6 +404,15 @@ def test_broken_states_are_refused(online, tmp_path):
         path.write_bytes(broken)
         with pytest.raises(FileFormatError, match="not a state that IncrementalPcm saved"):
             IncrementalPcm.load(path)
+    entry, end = whole.index(b"PK\x01\x02"), whole.rindex(b"PK\x05\x06")
+    for where, bits in (  # where the directory begins; an encrypted entry; an unknown compression
+        (end + 16, b"\xff\xff\xff\x7f"),
+        (entry + 8, b"\x01"),
+        (entry + 10, b"\x63"),
+    ):
+        path.write_bytes(whole[:where] + bits + whole[where + len(bits) :])
+        with pytest.raises(FileFormatError, match="not a state that IncrementalPcm saved"):
+            IncrementalPcm.load(path)
     path.write_bytes(whole)
     with np.load(path) as file:
         arrays = dict(file)

@@ -7,12 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from pcm_jax.clique import maximum_clique
 from pcm_jax.consistency import chi2_gate
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph
 from pcm_jax.graph import MultiRobotGraph
-from pcm_jax.pipeline import select
+from pcm_jax.pipeline import select, weigh
 from pcm_jax.selection import Selection, select_from
+from pcm_jax.selection.choose import choose
 from pcm_jax.simulation import simulate_city
 
 
@@ -113,6 +115,17 @@ def test_what_needs_distances_gets_them_whatever_they_take(world, selection, opt
     np.testing.assert_array_equal(limited.accepted, usual.accepted)
     for one, other in zip(limited.pairs, usual.pairs, strict=True):
         np.testing.assert_array_equal(one.squared, other.squared)
+
+
+@pytest.mark.parametrize("options", [{"tie_break": "distance"}, {"method": "ransac"}])
+def test_of_evidence_without_distances_they_are_refused(world, selection, options):
+    optimised = MultiRobotGraph(selection.maps, world.graph.closures)
+    evidence = weigh(optimised, optimized=True, memory_limit=0).pairs[0]
+    assert evidence.is_streamed
+    with pytest.raises(InputError, match="squared: not kept for the"):
+        choose(evidence, 11.3, **options)
+    graph = evidence.consistent(11.3) & ~np.eye(len(evidence), dtype=bool)
+    np.testing.assert_array_equal(choose(evidence, 11.3).members, maximum_clique(graph).members)
 
 
 def test_too_few_inliers_are_none(world, selection):

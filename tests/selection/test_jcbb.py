@@ -228,6 +228,10 @@ def test_distances_alone_do_not_suffice():
         select_from(np.zeros((3, 3)), 1.0, method="jcbb")
     with pytest.raises(InputError, match="evidence: of distances alone"):
         repair(PairEvidence.from_squared(np.zeros((3, 3))), [0, 1])
+    with pytest.raises(InputError, match="evidence: of distances alone"):
+        module.jcbb(PairEvidence.from_squared(np.full((3, 3), 99.0)), 11.3)  # even if none agree
+    with pytest.raises(InputError, match="evidence: of distances alone"):
+        repair(PairEvidence.from_squared(np.full((3, 3), 99.0)), [0, 1])
     map_with_a_loop = chain(jaxlie.SE2, np.random.default_rng(0)).with_edges(np.arange(7))
     with pytest.raises(InputError, match="method: 'jcbb' needs the maps"):
         select_within(map_with_a_loop, method="jcbb")

@@ -74,6 +74,22 @@ def test_two_measurements_by_hand():
     np.testing.assert_allclose(jnp.sum(soft_select(apart, GATE, temperature=1.0)), 1.0, rtol=1e-9)
 
 
+def test_two_sets_compete_by_hand():
+    """Sets of three and of two, apart: ω of k vertices is 1/2 / (1 − (a (k − 1) + 1/2) / k).
+
+    Four of the six starts end in the larger set: its vertices' and the exact one.
+    """
+    gate, temperature = 2.0, 0.5
+    a = 1.0 / (1.0 + np.exp(-gate / temperature))
+    three, two = (0.5 / (1.0 - (a * (k - 1) + 0.5) / k) for k in (3, 2))
+    weight = np.exp((two - three) * gate / temperature)
+    squared = np.full((5, 5), np.inf)
+    squared[:3, :3] = squared[3:, 3:] = 0.0
+    expected = np.array([4.0 * three / 3.0] * 3 + [2.0 * weight * two / 2.0] * 2)
+    found = soft_select(jnp.asarray(squared), gate, temperature=temperature, steps=200)
+    np.testing.assert_allclose(found, expected / (4.0 + 2.0 * weight), rtol=1e-9)
+
+
 @pytest.fixture(scope="module")
 def squared():
     rng = np.random.default_rng(1)

@@ -180,6 +180,12 @@ def test_places_overlap_only_where_the_earlier_one_is_done_with(rng):
     assert (start + size).max() < size.sum() / 2
 
 
+def test_places_are_the_first_gaps_that_are_long_enough():
+    """The third fits where the first was, which nobody needs by then; the fourth behind all."""
+    start = _places(np.array([2, 3, 1, 2]), np.array([2, 4, 4, 4]))
+    assert start.tolist() == [0, 2, 0, 5]
+
+
 def test_groups_share_memory_and_stay_small(monkeypatch):
     size, (tail, head) = PATTERNS["grid"]
     whole = plan_for(size, tail, head, 3)

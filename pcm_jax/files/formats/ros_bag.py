@@ -29,7 +29,7 @@ PACKAGES = ("pose_graph_tools_msgs", "pose_graph_tools")
 ODOMETRY, CLOSURE = 0, 1
 KINDS = {2: "landmark", 3: "rejected closure", 4: "mesh", 5: "mesh of a pose", 6: "pose of a mesh"}
 MOST = 1_000_000  # messages
-_ROBOT_BITS = 40  # ids of several robots' poses side by side
+_NUMBER_BITS, _ROBOT_BITS = 62, 40  # ids of several robots' poses side by side
 _ORDER = np.array([3, 4, 5, 0, 1, 2])  # of our directions in GTSAM's
 
 # The fields of the messages, for bags that do not carry their definitions.
@@ -72,12 +72,12 @@ def read_bag(source: Source, reading: Reading) -> PoseFile:
         FileFormatError: without rosbags, for a damaged bag, one without such messages, and naming
             the edge that holds something else.
     """
-    nodes: dict[tuple[int, int], Any] = {}
+    nodes: dict[int, Any] = {}
     edges: dict[tuple[Any, ...], Any] = {}
     left_out: dict[str, int] = {}
     for message in _messages(source):
         for node in message.nodes:
-            nodes[int(node.robot_id), _index(node.key)] = node
+            nodes[_id(source.path, node.robot_id, node.key)] = node
         for edge in message.edges:
             kind = int(edge.type)
             if kind not in (ODOMETRY, CLOSURE):
@@ -93,7 +93,7 @@ def read_bag(source: Source, reading: Reading) -> PoseFile:
     chosen = list(edges.values())
     lines = _edges(source.path, chosen, reading)
     measured, clipped = checked(source.path, lines, reading.repair)
-    ids = np.array([(robot << _ROBOT_BITS) + index for robot, index in nodes], np.int64)
+    ids = np.array(list(nodes), np.int64)
     return PoseFile(
         source.path,
         jaxlie.SE3,
@@ -165,9 +165,16 @@ def check_fields(path: str, kind: str, message: Any) -> None:
             )
 
 
-def _index(key: int) -> int:
-    """A pose's number, of a symbol key or the number itself."""
-    return int(symbols.indices_of(np.array([key], np.uint64).astype(np.int64))[0])
+def _id(path: str, robot: Any, key: Any) -> int:
+    """One number of a robot's pose, whose key is a symbol or the pose's number itself."""
+    index = int(symbols.indices_of(np.array([key], np.uint64).astype(np.int64))[0])
+    if not 0 <= robot < 1 << _NUMBER_BITS - _ROBOT_BITS:
+        expected = f"expected 0 … {(1 << _NUMBER_BITS - _ROBOT_BITS) - 1}"
+        raise FileFormatError(path, None, f"robot {robot} given, {expected}")
+    if not 0 <= index < 1 << _ROBOT_BITS:
+        expected = f"expected a symbol, or 0 … {(1 << _ROBOT_BITS) - 1}"
+        raise FileFormatError(path, None, f"key {key} given, {expected}")
+    return (int(robot) << _ROBOT_BITS) + index
 
 
 def _seconds(stamp: Any) -> float:
@@ -207,10 +214,7 @@ def _vertices(path: str, ids: np.ndarray, nodes: list[Any]) -> Lines:
 def _edges(path: str, edges: list[Any], reading: Reading) -> Lines:
     ends = np.array(
         [
-            [
-                (int(one.robot_from) << _ROBOT_BITS) + _index(one.key_from),
-                (int(one.robot_to) << _ROBOT_BITS) + _index(one.key_to),
-            ]
+            [_id(path, one.robot_from, one.key_from), _id(path, one.robot_to, one.key_to)]
             for one in edges
         ],
         np.int64,

@@ -30,6 +30,7 @@ MAGIC = b"SQLite format 3\0"
 NEIGHBOURS, CLOSURES, PRIOR = (0, 6), (1, 2, 3, 4), 7
 KINDS = {5: "virtual closure", 8: "landmark"}
 MOST = 10_000_000  # rows
+INTEGERS = ("id", "map_id", "from_id", "to_id", "type")
 
 
 def _recognise(source: Source) -> float:
@@ -50,12 +51,12 @@ def read_rtabmap(source: Source, reading: Reading) -> PoseFile:
             stamps = _optional(base, "Node", "id", "stamp")
             truth = _optional(base, "Node", "id", "ground_truth_pose")
             links, how = _links(base, source, reading)
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: of sqlite's own messages
         raise FileFormatError(source.path, None, f"damaged database: {error}") from None
     known = {row[0] for row in nodes}
     links = [row for row in links if row[0] in known and (row[1] in known or row[2] in KINDS)]
-    lost = [row for row in links if row[4] is None or not any(row[4])]
-    links = [row for row in links if not (row[4] is None or not any(row[4]))]
+    lost = [row for row in links if _is_empty(row[4])]
+    links = [row for row in links if not _is_empty(row[4])]
     nodes, alone = _linked(nodes, links)
     edges, clipped = _edges(source.path, links, reading)
     if not len(edges) and not nodes:
@@ -85,10 +86,14 @@ def _linked(
     return kept, len(nodes) - len(kept)
 
 
+def _is_empty(transform: Any) -> bool:
+    return transform is None or (isinstance(transform, bytes) and not any(transform))
+
+
 def _stamps(rows: list[tuple[Any, ...]]) -> tuple[np.ndarray, np.ndarray] | None:
     if not rows:
         return None
-    seconds = [np.nan if row[1] is None else float(row[1]) for row in rows]
+    seconds = [float(row[1]) if isinstance(row[1], int | float) else np.nan for row in rows]
     return np.array([row[0] for row in rows], np.int64), np.array(seconds)
 
 
@@ -141,7 +146,20 @@ def _rows(
         )
     order = "id" if name == "Node" else "rowid"
     query = f"SELECT {', '.join(columns)} FROM {name} ORDER BY {order} LIMIT {MOST}"
-    return base.execute(query).fetchall()
+    rows = base.execute(query).fetchall()
+    for k, column in enumerate(columns):
+        if column in INTEGERS:
+            _check_integers(source.path, f"{name}.{column}", [row[k] for row in rows])
+    return rows
+
+
+def _check_integers(path: str, column: str, values: list[Any]) -> None:
+    """SQLite keeps any kind of value in a column of any type."""
+    for number, value in enumerate(values, start=1):
+        if not isinstance(value, int):
+            raise FileFormatError(
+                path, None, f"row {number}: {column} is {str(value)[:40]!r}, expected an integer"
+            )
 
 
 def _optional(base: sqlite3.Connection, name: str, *columns: str) -> list[tuple[Any, ...]]:
@@ -230,7 +248,8 @@ def _blob(value: Any, dtype: Any, count: int) -> np.ndarray | None:
     """Numbers of a blob, None where it holds another number of them."""
     if not isinstance(value, bytes) or len(value) != count * np.dtype(dtype).itemsize:
         return None
-    return np.frombuffer(value, dtype).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # of NaNs that signal; they are refused later
+        return np.frombuffer(value, dtype).astype(np.float64)
 
 
 def _left_out(

@@ -31,7 +31,7 @@ from pcm_jax.arrays import on_host
 from pcm_jax.clique import maximum_clique
 from pcm_jax.consistency import PairEvidence, chi2_gate
 from pcm_jax.consistency.joint import chosen_rows, quantiles
-from pcm_jax.consistency.stacked import StackedClosures, drops, stack_closures
+from pcm_jax.consistency.stacked import StackedClosures, drops, maps_of, stack_closures
 from pcm_jax.errors import InputError
 from pcm_jax.selection.method import Choice, SelectionMethod
 
@@ -90,15 +90,15 @@ def repair(
         InputError: as `joint_consistency` and `jcbb`.
     """
     rows = np.sort(chosen_rows(evidence, accepted, "accepted"))
-    closures: Any = evidence.measured
-    d = 3 if closures is None else closures.tangent_dim
-    return _largest_within(evidence, rows, float(chi2_gate(confidence, d)), time_limit)
+    gate = float(chi2_gate(confidence, maps_of(evidence)[1].tangent_dim))
+    return _largest_within(evidence, rows, gate, time_limit)
 
 
 def _largest_within(
     evidence: PairEvidence, inside: np.ndarray, gate: float, time_limit: float | None
 ) -> Choice:
     deadline = np.inf if time_limit is None else perf_counter() + time_limit
+    maps_of(evidence)
     graph = evidence.consistent(gate)[np.ix_(inside, inside)].copy()
     np.fill_diagonal(graph, False)
     clique = maximum_clique(graph, time_limit=time_limit)
