@@ -1,4 +1,4 @@
-"""Modules that the paper's experiments share.
+"""Modules that the experiments share.
 
 command                 options that all have, tasks in processes, the record of a run
 record                  rows and means of figures, CSV, progress, what results depend on
@@ -11,6 +11,9 @@ registrations           simulated registrations between sessions, poor and alias
 drifting                worlds whose maps drift and close loops more or less
 real_candidates         the noise of real front ends' candidates
 real_candidate_report   figures, tables and pictures of those
+symforce_peer           a pose graph by SymForce's optimiser
+ceres_peer              a planar one by Ceres
+mrob_peer               one by mrob, in a process of its own
 learning_worlds         cities with closures of unequal noise, slipped ones and scores
 learning_model          the network, its losses and its training
 """

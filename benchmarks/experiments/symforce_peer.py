@@ -113,7 +113,7 @@ def _in_chart(by: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 class _Pattern:
-    """Where the entries of blocks go in a sparse matrix by columns; negative blocks go nowhere."""
+    """Places of the entries of blocks in a sparse matrix by columns; negative blocks have none."""
 
     def __init__(
         self,
