@@ -28,7 +28,7 @@ from pcm_jax.integrity.explanation import Explanation, explain
 from pcm_jax.integrity.places import Places, places_of, way_of
 from pcm_jax.integrity.residuals import Fit, StrainedEdge, strained_edges
 from pcm_jax.integrity.rivals import Rival, strongest_rival
-from pcm_jax.integrity.team import Cycle, cycles_of, judge_team, minority
+from pcm_jax.integrity.team import Cycle, alignments_of, cycles_of, judge_team, minority
 from pcm_jax.integrity.triage import Finding, triage
 from pcm_jax.integrity.verdict import (
     AS_ASKED,
@@ -57,6 +57,7 @@ __all__ = [
     "Rival",
     "StrainedEdge",
     "Verdict",
+    "alignments_of",
     "chance_level",
     "cycles_of",
     "explain",

@@ -51,6 +51,8 @@ MOST = 1500
 random, one a place as far as that goes, are shuffled and tested: a set of less than about one in
 two hundred of all, of which few are drawn, is then not told from chance."""
 MOST_SHUFFLES = 100_000
+FIRST = 2048
+"""Pairs of closures of the first shuffles that are weighed together: fewer take as long."""
 ABOUT = 1.5
 """Times the total squared distance: a set that agrees about as well."""
 SEARCH = 1.0
@@ -194,7 +196,7 @@ def _moving(
     generator: np.random.Generator, count: int, members: np.ndarray, wanted: int, together: int
 ) -> Iterator[Int[np.ndarray, "b k"]]:
     """Random orders that move one of the members at least, some at a time, more and more."""
-    made, batch = 0, 1
+    made, batch = 0, max(1, FIRST // (2 * count**2))
     while made < wanted:
         batch = min(2 * batch, together, wanted - made)
         orders = generator.permuted(np.tile(np.arange(count), (batch, 1)), axis=1)

@@ -152,21 +152,14 @@ def minority(cycles: Sequence[Cycle], significance: float = SIGNIFICANCE) -> lis
         left = [cycle for cycle in left if clear[0] not in cycle.pairs]
 
 
-def judge_team(
-    pairs: Sequence[tuple[PairEvidence, Bool[np.ndarray, " k"]]],
-    verdicts: Sequence[Verdict],
-    *,
-    significance: float = SIGNIFICANCE,
-) -> tuple[list[Verdict], tuple[Cycle, ...]]:
-    """Holds the believed pairs of a team against each other.
+def alignments_of(
+    pairs: Sequence[tuple[PairEvidence, Bool[np.ndarray, " k"]]], verdicts: Sequence[Verdict]
+) -> dict[Pair, JointConsistency]:
+    """Aligns the maps of every believed pair of a team that has cycles; none of one without.
 
     Args:
-        pairs: the evidence of each pair of robots, and the members of its set.
+        pairs: the evidence of each pair of robots, and the members of its set, of which 60 count.
         verdicts: on each by itself.
-        significance: probability that a right pair is dropped.
-
-    Returns:
-        The verdicts, in which pairs that the others outvote are refused, and the team's cycles.
     """
     believed = [
         (pair.robot_a, pair.robot_b)
@@ -174,15 +167,35 @@ def judge_team(
         if verdict.believed
     ]
     if _independent_cycles(believed) == 0:
-        return list(verdicts), ()
-    alignments = {
+        return {}
+    return {
         (pair.robot_a, pair.robot_b): joint_consistency(
             pair, thinned(np.flatnonzero(members), JOINT)
         )
         for (pair, members), verdict in zip(pairs, verdicts, strict=True)
         if verdict.believed
     }
-    cycles = cycles_of(alignments)
+
+
+def judge_team(
+    pairs: Sequence[tuple[PairEvidence, Bool[np.ndarray, " k"]]],
+    verdicts: Sequence[Verdict],
+    *,
+    significance: float = SIGNIFICANCE,
+    alignments: Mapping[Pair, JointConsistency] | None = None,
+) -> tuple[list[Verdict], tuple[Cycle, ...]]:
+    """Holds the believed pairs of a team against each other.
+
+    Args:
+        pairs: the evidence of each pair of robots, and the members of its set.
+        verdicts: on each by itself.
+        significance: probability that a right pair is dropped.
+        alignments: see `alignments_of`, where they are known.
+
+    Returns:
+        The verdicts, in which pairs that the others outvote are refused, and the team's cycles.
+    """
+    cycles = cycles_of(alignments_of(pairs, verdicts) if alignments is None else alignments)
     dropped = minority(cycles, significance)
     judged = []
     for (pair, _), verdict in zip(pairs, verdicts, strict=True):

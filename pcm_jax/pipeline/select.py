@@ -16,6 +16,7 @@ from pcm_jax.integrity import (
     AS_ASKED,
     Doubts,
     Verdict,
+    alignments_of,
     judge_by_chance,
     judge_by_number,
     judge_team,
@@ -181,14 +182,16 @@ def decide(
                 choices = [*map(_by_places, evidence.pairs, choices, verdicts)]
                 found = [*zip(evidence.pairs, (choice.members for choice in choices), strict=True)]
                 verdicts = judge_by_chance(found, gate, **by)
-            verdicts, team = judge_team(found, verdicts)
+            alignments = alignments_of(found, verdicts)
+            verdicts, team = judge_team(found, verdicts, alignments=alignments)
         else:
-            minimum, team = int(minimum_inliers), ()
+            minimum, team, alignments = int(minimum_inliers), (), {}
             verdicts = [judge_by_number(*each, minimum, gate, separation) for each in found]
     tell("chance", 1, 1)
     accepted, pairs = np.zeros(len(evidence.graph.closures), bool), []
     for pair, choice, verdict in zip(evidence.pairs, choices, verdicts, strict=True):
-        pairs.append(PairSelection.of_choice(pair, gate, choice, verdict))
+        joint = alignments.get((pair.robot_a, pair.robot_b))
+        pairs.append(PairSelection.of_choice(pair, gate, choice, verdict, joint))
         accepted[pair.closures] = pairs[-1].accepted
     seconds = {stage: evidence.seconds[stage] + spent for stage, spent in watch.seconds.items()}
     return Selection(accepted, tuple(pairs), *names, evidence, seconds, team)

@@ -52,13 +52,24 @@ class PairSelection:
 
     @classmethod
     def of_choice(
-        cls, evidence: PairEvidence, gate: float, choice: Choice, verdict: Any
+        cls,
+        evidence: PairEvidence,
+        gate: float,
+        choice: Choice,
+        verdict: Any,
+        joint: JointConsistency | None = None,
     ) -> PairSelection:
-        """The decision on a method's choice, with its certificate."""
+        """The decision on a method's choice, with its certificate.
+
+        `joint` is the test of all members or of some, where it has been made already.
+        """
         found = int(np.count_nonzero(choice.members))
         proof = choice.optimal, choice.upper_bound, found, choice.weight, choice.weight_bound
         accepted = choice.members & verdict.believed
-        return cls(evidence, gate, accepted, *proof, verdict, choice.members)
+        made = cls(evidence, gate, accepted, *proof, verdict, choice.members)
+        if joint is not None and verdict.believed and joint.asked == found:
+            made.__dict__["joint"] = joint  # where `cached_property` keeps it
+        return made
 
     def __repr__(self) -> str:
         most = self.upper_bound if self.weight is None else f"weight {self.weight_bound:.6g}"
