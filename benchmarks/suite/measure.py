@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 Call = Callable[[], Any]
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "optimistix", "sparsax", "gtsam", "networkx")
+PACKAGES += ("symforce", "pyceres", "mrob")
 
 
 class Timing(NamedTuple):
