@@ -15,7 +15,8 @@ Rules: "2", "3", "5": so many closures suffice; "chance": the set has to stand o
 A world counts as *merged wrongly* if most of the accepted closures are false, as *found* if most
 are right. Bounds are Clopper and Pearson's, one-sided, 99 %.
 
-Writes summary.json ({cell: {rule: figures}}), table.md and run.json.
+Writes summary.json ({cell: {rule: figures}}), cells.csv, table.md, rates.png (means over groups,
+laws, drifts and loops) and run.json.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,10 +33,11 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.experiments.command import command_parser, finish, run_tasks
-from benchmarks.experiments.record import LIBRARY
+from benchmarks.experiments.record import LIBRARY, write_csv
 from pcm_jax import MultiRobotGraph, PoseGraph, lie, select, weigh
 from pcm_jax.arrays import on_host
 from pcm_jax.integrity import Verdict
+from pcm_jax.plots import style
 from pcm_jax.simulation import simulate_city, simulate_sessions
 from pcm_jax.simulation.measurements import measure
 from pcm_jax.store import Store, digest
@@ -46,6 +48,7 @@ WHERE = ("spread", "one place")
 FIXED = (2, 3, 5)
 STRETCH = 8
 """Poses of either robot among which an aliased group in one place lies."""
+BARS = (style.GREY, style.SKY, style.PINK, style.ORANGE, style.GREEN, style.BLUE)
 POSES = 200
 NEAR = 10.0
 NOISE = {
@@ -97,6 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     found = run_tasks("cells", tasks, steps, jobs=options.jobs)
     rows = {f"{cell}, {rule}": own for cell, rules in found.items() for rule, own in rules.items()}
+    write_tables(options.out, found)
     return finish(options, start, found, rows, COLUMNS)
 
 
@@ -233,6 +237,57 @@ def _in_one_place(
 
 def _odometry(one: PoseGraph) -> PoseGraph:
     return one.with_edges(np.asarray(one.head) - np.asarray(one.tail) == 1)
+
+
+def write_tables(out: Path, found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> None:
+    """cells.csv and rates.png, of {cell: {rule: figures}}."""
+    rows = [
+        {"cell": cell, "rule": rule, **own}
+        for cell, rules in found.items()
+        for rule, own in rules.items()
+    ]
+    write_csv(out / "cells.csv", rows)
+    draw(out / "rates.png", found)
+
+
+def draw(path: Path, found: Mapping[str, Mapping[str, Mapping[str, float]]]) -> None:
+    """Bars by rule: how often worlds are merged wrongly, and found where closures are right."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    kinds: dict[str, list[Mapping[str, Mapping[str, float]]]] = {}
+    for cell, rules in found.items():
+        kinds.setdefault(_kind(cell), []).append(rules)
+    panels = {"wrong": "merged wrongly, %"}
+    if any(not kind.startswith("0 of") for kind in kinds):
+        panels["right"] = "found, %"
+    size = 1.2 + max(len(kinds), 4) * len(panels), 3.8
+    figure, axes = plt.subplots(1, len(panels), figsize=size, layout="constrained", squeeze=False)
+    names = list(next(iter(found.values())))
+    for ax, (figure_name, label) in zip(axes[0], panels.items(), strict=True):
+        for k, rule in enumerate(names):
+            means = [
+                np.mean([rules[rule][figure_name] for rules in cells]) for cells in kinds.values()
+            ]
+            place = np.arange(len(kinds)) + 0.14 * (k - 0.5 * (len(names) - 1))
+            ax.bar(place, means, 0.13, color=BARS[k], label=rule)
+        ax.set_xticks(np.arange(len(kinds)), list(kinds), fontsize="small")
+        ax.set_ylabel(label)
+    handles = axes[0, 0].get_legend_handles_labels()
+    look: dict[str, Any] = {"ncols": 3 * len(panels), "frameon": False, "fontsize": "small"}
+    figure.legend(*handles, loc="outside lower center", title="rule", **look)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _kind(cell: str) -> str:
+    """The closures of a cell, by its name: right ones of how many, and aliased ones; on lines."""
+    _, right, aliased, *_ = cell.split(", ")
+    if "aliased" not in aliased:
+        return right
+    return "\n".join([right, *aliased.replace("aliased ", "aliased,").split(",")])
 
 
 def rates(outcomes: np.ndarray) -> dict[str, float]:

@@ -28,6 +28,8 @@ def test_table_and_resuming(tmp_path, capsys, monkeypatch):
     table = (tmp_path / "table.md").read_text()
     assert table.count("\n") == 2 + 4 * 6
     assert table.strip() in capsys.readouterr().out
+    assert (tmp_path / "cells.csv").read_text().count("\n") == 1 + 4 * 6
+    assert (tmp_path / "rates.png").read_bytes().startswith(b"\x89PNG")
     monkeypatch.setattr(integrity, "world_of", None)  # nothing is drawn again
     assert integrity.main([*arguments, "--out", str(tmp_path)]) == 0
 
