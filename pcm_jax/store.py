@@ -46,6 +46,12 @@ def digest(*values: Any, files: Iterable[Path] = ()) -> str:
     return found.hexdigest()
 
 
+def apart(path: str | os.PathLike[str]) -> tuple[Path, Path]:
+    """Gives what a path leads to, and a name beside it for what is not finished, nobody else's."""
+    target = Path(os.path.realpath(path))
+    return target, target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}")
+
+
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
     """Hands out the name under which a file is to be written, and renames it once it is done.
@@ -54,8 +60,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     leads to is replaced; a file that is there keeps its mode. The new one is on disk before it is
     renamed.
     """
-    target = Path(os.path.realpath(path))
-    unfinished = target.with_name(f".{target.name[:100]}.{secrets.token_hex(8)}")
+    target, unfinished = apart(path)
     try:
         mode = target.stat().st_mode & 0o7777 if target.exists() else None
         # Nobody reads it before it has the mode of the file that it replaces.

@@ -155,3 +155,11 @@ def test_results_that_were_changed_are_none(tmp_path):
     data[-20] ^= 1  # of a number, not of its digest
     array.write_bytes(data)
     assert store.read_array("panel") is None
+
+
+def test_a_folder_that_fails_keeps_the_kind_of_the_error_and_says_its_own_name(tmp_path):
+    target = tmp_path / "out"
+    with pytest.raises(FileFormatError) as failed, folder_written_whole(target) as place:
+        raise FileFormatError(place / "a.g2o", 3, "no space")
+    assert str(failed.value) == f"{target / 'a.g2o'}:3: no space"
+    assert not list(tmp_path.iterdir())

@@ -24,9 +24,10 @@ def run(options: Any) -> None:
         )
     row = closures[options.closure]
     try:
-        print(json.dumps(row, indent=2) if options.json else explained(report, row))
+        told = json.dumps(row, indent=2) if options.json else explained(report, row)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         raise not_ours(options.report, f"closures[{options.closure}] with other content") from None
+    print(told)
 
 
 def explained(report: dict[str, Any], row: dict[str, Any]) -> str:

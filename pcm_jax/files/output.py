@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import lzma
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 
 from pcm_jax.errors import FileFormatError, InputError, check_class
-from pcm_jax.store import written_whole
+from pcm_jax.store import apart, written_whole
 
 
 def check_target(path: str | PathLike[str]) -> Path:
@@ -47,14 +46,14 @@ def folder_written_whole(folder: str | PathLike[str]) -> Iterator[Path]:
     if target.is_dir():
         yield target
         return
-    named = Path(os.path.realpath(target))
-    unfinished = named.with_name(f".{named.name[:100]}.{secrets.token_hex(8)}")
+    named, unfinished = apart(target)
     try:
         unfinished.mkdir()
         yield unfinished
         unfinished.rename(named)
     except InputError as error:
-        raise InputError(str(error).replace(str(unfinished), str(target))) from None
+        error.args = (str(error).replace(str(unfinished), str(target)),)
+        raise
     except OSError as error:
         raise FileFormatError(folder, None, f"cannot be written: {error.strerror}") from None
     finally:
