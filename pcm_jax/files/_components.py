@@ -7,6 +7,7 @@ from jaxtyping import Int
 
 from pcm_jax.files._scope import Scope, made_scope
 from pcm_jax.files.pose_file import PoseFile
+from pcm_jax.graph.spanning_tree import connected_parts
 
 
 def by_components(file: PoseFile, scope: Scope, *, only_apart: bool = False) -> Scope:
@@ -46,11 +47,7 @@ def by_components(file: PoseFile, scope: Scope, *, only_apart: bool = False) -> 
 
 def _parts(rank: Int[np.ndarray, "e 2"], count: int) -> Int[np.ndarray, " n"]:
     """The part that each of `count` poses is in, numbered in the order of poses."""
-    from scipy import sparse
-    from scipy.sparse import csgraph
-
-    links = sparse.csr_array((np.ones(len(rank)), (rank[:, 0], rank[:, 1])), shape=(count, count))
-    _, label = csgraph.connected_components(links, directed=False)
+    _, label = connected_parts(rank[:, 0], rank[:, 1], count)
     _, first, part = np.unique(label, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(first))
     return order[part.ravel()]

@@ -117,10 +117,7 @@ def check_connected(
     ids: Int[np.ndarray, " n"] | None = None,
 ) -> None:
     """Raises `InputError` unless edges join all `n` poses; `ids` name them in the message."""
-    from scipy.sparse import csgraph
-
-    links = _sparse(tail, head, np.ones(len(tail)), n)
-    count, label = csgraph.connected_components(links, directed=False)
+    count, label = connected_parts(tail, head, n)
     if count > 1:
         stray = int(np.argmax(label != label[0]))
         names = (
@@ -132,6 +129,15 @@ def check_connected(
             f"the map falls into {count} parts: no edges lead from pose {names[0]} to pose"
             f" {names[stray]}, expected one connected map"
         )
+
+
+def connected_parts(
+    tail: Int[np.ndarray, " e"], head: Int[np.ndarray, " e"], n: int
+) -> tuple[int, Int[np.ndarray, " n"]]:
+    """The parts that edges join `n` nodes to: how many, and the one that each node is in."""
+    from scipy.sparse import csgraph
+
+    return csgraph.connected_components(_sparse(tail, head, np.ones(len(tail)), n), directed=False)
 
 
 def _sparse(row: np.ndarray, column: np.ndarray, value: np.ndarray, n: int) -> Any:

@@ -196,12 +196,12 @@ def _moving(
     generator: np.random.Generator, count: int, members: np.ndarray, wanted: int, together: int
 ) -> Iterator[Int[np.ndarray, "b k"]]:
     """Random orders that move one of the members at least, some at a time, more and more."""
-    made, batch = 0, max(1, FIRST // (2 * count**2))
+    made, batch = 0, max(2, FIRST // count**2)
     while made < wanted:
-        batch = min(2 * batch, together, wanted - made)
+        batch = min(batch, together, wanted - made)
         orders = generator.permuted(np.tile(np.arange(count), (batch, 1)), axis=1)
         orders = orders[(orders[:, members] != members).any(axis=1)]
-        made += len(orders)
+        made, batch = made + len(orders), 2 * batch
         yield orders
 
 

@@ -27,14 +27,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.csgraph
 from jaxtyping import Bool, Float, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency import PairEvidence
 from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
+from pcm_jax.graph.spanning_tree import connected_parts
 
 REACH = 5.0
 """Steps of the map from a closure of a run to the next, at most."""
@@ -176,7 +175,7 @@ def longest_run(
     near = np.abs(way_b[u] - way_b[v]) <= REACH * steps[1]
     u, v = u[near], v[near]
     agree = graph.has(others[u], others[v])
-    label = _components(len(others), u[agree], v[agree])
+    label = connected_parts(u[agree], v[agree], len(others))[1]
     lengths = (_extents(way, label) for way in (way_a, way_b))
     return float(np.maximum(*lengths).max(initial=0.0))
 
@@ -188,12 +187,6 @@ def _within(way: Float[np.ndarray, " n"], reach: float) -> tuple[np.ndarray, np.
     u = np.repeat(first - 1, count)
     offset = np.arange(len(u)) - np.repeat(np.cumsum(count) - count, count)
     return u, u + 1 + offset
-
-
-def _components(count: int, u: np.ndarray, v: np.ndarray) -> Int[np.ndarray, " n"]:
-    ones = np.ones(len(u), bool)
-    graph = scipy.sparse.coo_array((ones, (u, v)), shape=(count, count))
-    return scipy.sparse.csgraph.connected_components(graph, directed=False)[1]
 
 
 def _extents(way: Float[np.ndarray, " n"], label: Int[np.ndarray, " n"]) -> np.ndarray:

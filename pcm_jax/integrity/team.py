@@ -28,6 +28,7 @@ from pcm_jax import lie
 from pcm_jax.arrays import on_host
 from pcm_jax.consistency import JointConsistency, PairEvidence, joint_consistency
 from pcm_jax.consistency.joint import survival, thinned
+from pcm_jax.graph.spanning_tree import connected_parts
 from pcm_jax.integrity.chance import SIGNIFICANCE
 from pcm_jax.integrity.rivals import JOINT
 from pcm_jax.integrity.verdict import Verdict
@@ -56,9 +57,7 @@ class Cycle:
     @property
     def pairs(self) -> tuple[Pair, ...]:
         """The pairs of robots that it leads over, each with the smaller index first."""
-        following = (*self.robots[1:], self.robots[0])
-        ordered = (sorted(pair) for pair in zip(self.robots, following, strict=True))
-        return tuple((a, b) for a, b in ordered)
+        return _pairs_of(self.robots)
 
     def __repr__(self) -> str:
         way = " → ".join(map(str, (*self.robots, self.robots[0])))
@@ -83,17 +82,19 @@ def cycles_of(alignments: Mapping[Pair, JointConsistency]) -> list[Cycle]:
     return [_closed(robots, alignments) for robots in sorted(found)]
 
 
+def _pairs_of(cycle: tuple[int, ...]) -> tuple[Pair, ...]:
+    following = (*cycle[1:], cycle[0])
+    return tuple((min(pair), max(pair)) for pair in zip(cycle, following, strict=True))
+
+
 def _independent_cycles(pairs: Sequence[Pair]) -> int:
     """E - V + C, the dimension of the space of cycles."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if not pairs:
         return 0
     robots, ends = np.unique(np.array(pairs), return_inverse=True)
-    ends, count = ends.reshape(-1, 2), len(robots)
-    links = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(count, count))
-    return len(pairs) - count + connected_components(links, directed=False)[0]
+    first, second = ends.reshape(-1, 2).T
+    parts, _ = connected_parts(first, second, len(robots))
+    return len(pairs) - len(robots) + parts
 
 
 def _independent(cycles: Sequence[tuple[int, ...]], pairs: Sequence[Pair]) -> int:
@@ -101,8 +102,7 @@ def _independent(cycles: Sequence[tuple[int, ...]], pairs: Sequence[Pair]) -> in
     bit = {pair: 1 << place for place, pair in enumerate(pairs)}
     reduced: list[int] = []
     for cycle in cycles:
-        following = zip(cycle, (*cycle[1:], cycle[0]), strict=True)
-        left = sum(bit[min(a, b), max(a, b)] for a, b in following)
+        left = sum(bit[pair] for pair in _pairs_of(cycle))
         for other in reduced:
             left = min(left, left ^ other)
         if left:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from pcm_jax.graph import LoopClosures
+from pcm_jax.graph.spanning_tree import connected_parts
 
 
 def robot_groups(
@@ -21,12 +22,8 @@ def robot_groups(
     Returns:
         Tuples of robot indices, ascending, in the order of their first robots.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     ends = np.asarray(closures.robot_a)[accepted], np.asarray(closures.robot_b)[accepted]
-    links = coo_array((np.ones(len(ends[0])), ends), shape=(robots, robots))
-    count, label = connected_components(links, directed=False)
+    count, label = connected_parts(*ends, robots)
     groups = [tuple(np.flatnonzero(label == k).tolist()) for k in range(count)]
     return tuple(sorted(groups))
 

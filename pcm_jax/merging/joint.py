@@ -21,6 +21,7 @@ from jaxtyping import Bool, Int
 from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph, Priors
+from pcm_jax.graph.spanning_tree import connected_parts
 from pcm_jax.graph.unsaid import held
 from pcm_jax.mapping import Solution, optimize
 from pcm_jax.mapping.optimization import optimize_from, problem_of
@@ -175,13 +176,9 @@ def rebuild(joint: PoseGraph, closures: int, *, engine: str = "blocks") -> Solut
 
 def _closure_order(joint: PoseGraph, closures: int) -> tuple[np.ndarray, int]:
     """The closures' edge indices, first those of a tree of robots; and how many these are."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     own = joint.num_edges - closures
     tail, head = np.asarray(joint.tail), np.asarray(joint.head)
-    links = coo_array((np.ones(own), (tail[:own], head[:own])), shape=(joint.num_poses,) * 2)
-    robot = connected_components(links, directed=False)[1]
+    _, robot = connected_parts(tail[:own], head[:own], joint.num_poses)
     tree, others = [], []
     for edge in range(own, joint.num_edges):
         a, b = robot[tail[edge]], robot[head[edge]]

@@ -27,6 +27,7 @@ from pcm_jax import lie
 from pcm_jax.consistency import chi2_gate, odometry_edges
 from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
+from pcm_jax.graph.spanning_tree import connected_parts
 from pcm_jax.mapping.least_squares import Framed, with_frame
 from pcm_jax.mapping.optimization import host_arrays, problem_of
 from pcm_jax.mapping.priors import held
@@ -217,14 +218,8 @@ class _Group:
         return float(squared.sum() - edges[doubt].sum() + np.minimum(edges[doubt], gate).sum())
 
     def _in_one_piece(self) -> bool:
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        ends = (np.asarray(end)[self.used] for end in (self.joint.tail, self.joint.head))
-        links = coo_array(
-            (np.ones(self.used.sum()), tuple(ends)), shape=(self.joint.num_poses,) * 2
-        )
-        return connected_components(links, directed=False)[0] == 1
+        tail, head = (np.asarray(end)[self.used] for end in (self.joint.tail, self.joint.head))
+        return connected_parts(tail, head, self.joint.num_poses)[0] == 1
 
     def _joint_test(self) -> JointTest:
         """The rise of χ² when the maps, with the loops that hold, are merged."""
