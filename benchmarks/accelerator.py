@@ -23,18 +23,19 @@ from __future__ import annotations
 import functools
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jaxlie
 import numpy as np
 
 from benchmarks.experiments.command import command_parser, finish
 from benchmarks.suite.measure import Patience, timing_of
-from benchmarks.suite.random_worlds import random_closures
+from benchmarks.suite.random_worlds import between_chains
 from pcm_jax import (
     ConsistencyProblem,
+    InputWarning,
     PoseGraph,
     consistency_problem,
     lie,
@@ -133,10 +134,12 @@ def _weighed(
     devices: Devices, problem: ConsistencyProblem, kernel: str, pairs: int, dtype: str
 ) -> dict[str, Any]:
     compiled = jax.jit(functools.partial(squared_mahalanobis, kernel=kernel))
-    cast = functools.partial(jax.tree.map, functools.partial(_as, dtype=np.dtype(dtype)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)  # what rounding moves is looked at below
+        problem = problem.astype(np.dtype(dtype))
     figures, answers, count = {}, [], round(pairs**0.5)
     for name, device in devices._asdict().items():
-        placed = jax.device_put(cast(problem), device)
+        placed = jax.device_put(problem, device)
         answers.append(np.asarray(compiled(placed))[:count, :count])  # without the padding
         figures[name] = _seconds(lambda placed=placed: compiled(placed))
     found, exact = answers
@@ -145,10 +148,6 @@ def _weighed(
         scale = np.maximum(np.abs(exact[some].astype(float)), 6.0)
         worst = max(worst, float(np.max(np.abs(found[some] - exact[some].astype(float)) / scale)))
     return _figures(figures, pairs, worst, AGREE[dtype])
-
-
-def _as(leaf: Any, dtype: np.dtype) -> Any:
-    return leaf.astype(dtype) if np.issubdtype(leaf.dtype, np.floating) else leaf
 
 
 def cliques(devices: Devices, count: int) -> dict[str, Any]:
@@ -221,18 +220,7 @@ def _seconds(call: Callable[[], Any]) -> float:
 @functools.lru_cache(maxsize=1)
 def _problem(count: int, poses: int) -> ConsistencyProblem:
     """Closures in space between random poses of two chains, whose covariances are of low rank."""
-    generator = np.random.default_rng(count)
-    maps = []
-    for _ in range(2):
-        tangents: Any = generator.normal(size=(poses, 6))
-        chain = lie.exp(jaxlie.SE3, tangents)
-        sigmas: Any = {"sigma_translation": 0.1, "sigma_rotation": 0.01}
-        maps.append(PoseGraph.from_trajectory(chain, **sigmas))
-    closures = random_closures(generator, maps, count)
-    touched = [len(np.unique(each)) for each in (closures.pose_a, closures.pose_b)]
-    roots = [generator.normal(scale=0.01, size=(6 * k, 60)) for k in touched]
-    marginals = roots[0] @ roots[0].T, roots[1] @ roots[1].T
-    return consistency_problem(maps[0], maps[1], closures, marginals=marginals)
+    return consistency_problem(**between_chains(count, poses))
 
 
 if __name__ == "__main__":

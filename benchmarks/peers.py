@@ -41,9 +41,7 @@ from benchmarks.suite.harness import DATA, Settings
 from benchmarks.suite.measure import Patience, geometric_mean, race
 from benchmarks.suite.optimization import at_chordal_poses
 from pcm_jax import PoseGraph, lie, optimize
-from pcm_jax.mapping._linearization import whitened_residual
-from pcm_jax.mapping.least_squares import padded_edges
-from pcm_jax.mapping.optimization import host_arrays
+from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.store import Store, digest
 
 PEERS = ("gtsam", "symforce", "ceres", "mrob")
@@ -106,10 +104,8 @@ def raced(name: str, data: Path, peers: Sequence[str], mrob: str) -> dict[str, f
 
 def cost_at(graph: PoseGraph, poses: np.ndarray) -> float:
     """0.5 Σ rᵀΩr at poses given as matrices `[n, k + 1, k + 1]`."""
-    edges = padded_edges(*host_arrays(graph), size=graph.num_edges)
     matrices: Any = poses
-    whitened = whitened_residual(lie.as_numpy(lie.from_matrix(matrices)), edges)
-    return 0.5 * float(np.sum(np.square(whitened)))
+    return problem_of(graph).cost(lie.as_numpy(lie.from_matrix(matrices)))
 
 
 def _contestant(peer: str, graph: PoseGraph) -> Contestant | None:

@@ -10,9 +10,11 @@ from collections.abc import Callable
 from math import cos, pi, sin, tan
 from typing import Any
 
+import jaxlie
 import numpy as np
 
 from benchmarks.suite.gtsam_peer import TOLERANCE, PlainGraph
+from pcm_jax import lie
 from pcm_jax.mapping._linearization import whitening_of
 
 try:
@@ -114,8 +116,5 @@ def _planar(matrices: np.ndarray) -> np.ndarray:
 
 def _matrices(planar: np.ndarray) -> np.ndarray:
     x, y, angle = planar.T
-    found = np.tile(np.eye(3), (len(planar), 1, 1))
-    found[:, 0, 0] = found[:, 1, 1] = np.cos(angle)
-    found[:, 1, 0], found[:, 0, 1] = np.sin(angle), -np.sin(angle)
-    found[:, 0, 2], found[:, 1, 2] = x, y
-    return found
+    stacked: Any = np.stack([np.cos(angle), np.sin(angle), x, y], axis=1)
+    return np.asarray(lie.as_matrix(jaxlie.SE2(stacked)))

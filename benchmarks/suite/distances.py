@@ -26,12 +26,16 @@ from benchmarks.suite.measure import (
     seconds_of,
     timing_of,
 )
-from benchmarks.suite.random_worlds import moved, random_closures, random_map
+from benchmarks.suite.random_worlds import (
+    between_chains,
+    moved,
+    random_closures,
+    random_map,
+)
 from pcm_jax import (
     ConsistencyProblem,
     PoseGraph,
     consistency_problem,
-    lie,
     optimize,
     squared_mahalanobis,
 )
@@ -41,7 +45,6 @@ GROUPS = {"SE2": jaxlie.SE2, "SE3": jaxlie.SE3}
 MANY, MOST, FEW = 1_000, 3_000, 192
 PAPER = 115
 FAR = 1e5  # metres
-RANK = 60  # of the random joint covariances
 HALF_SPEED = (
     "0.063 on the machine of the former table, where the same kernel ran twice as fast; both cores"
     " would have to be busy"
@@ -62,8 +65,8 @@ IN_TURN = (
 
 def many_in_space(settings: Settings) -> dict[str, Measured]:
     """SE(3), 1,000 closures between as many poses of either map."""
-    closed = _compiled("closed-form", consistency_problem(**_chains(MANY)))
-    jacfwd = _compiled("jacfwd", consistency_problem(**_chains(FEW)))
+    closed = _compiled("closed-form", consistency_problem(**between_chains(MANY)))
+    jacfwd = _compiled("jacfwd", consistency_problem(**between_chains(FEW)))
     first, first_jacfwd = seconds_of(closed), seconds_of(jacfwd)
     times = race({"closed": lambda: closed, "jacfwd": lambda: jacfwd}, settings.patience)
     ours, theirs = times["closed"].median, times["jacfwd"].median
@@ -81,7 +84,7 @@ def many_in_space(settings: Settings) -> dict[str, Measured]:
 def from_marginals(count: int, settings: Settings) -> dict[str, Measured]:
     """SE(3): all the way from two joint covariances, and the kernel on the result."""
     before = peak_memory()
-    chains = _chains(count)
+    chains = between_chains(count)
     inputs = sum(joint.nbytes for joint in chains["marginals"]) / 1e6
 
     problems = []
@@ -167,27 +170,6 @@ def agreement(group: str, settings: Settings) -> dict[str, Measured]:
         "at_origin": Measured(_largest_difference(maps, closures), note),
         "far_away": Measured(_largest_difference(far, closures), f"maps {FAR:g} m away"),
     }
-
-
-def _chains(count: int) -> dict[str, Any]:
-    """Closures between two chains of `count` poses, each touched once, in space.
-
-    The joint covariances are random ones of low rank: the kernel's time does not depend on them,
-    and finding those of 6,000 coordinates would take longer than all the rest.
-
-    Returns:
-        what `consistency_problem` takes.
-    """
-    generator = np.random.default_rng(count)
-    maps = []
-    for _ in range(2):
-        tangents: Any = generator.normal(size=(count, 6))
-        poses = lie.exp(jaxlie.SE3, tangents)
-        maps.append(PoseGraph.from_trajectory(poses, sigma_translation=0.1, sigma_rotation=0.01))
-    closures = random_closures(generator, maps, count, once=True)
-    roots = generator.normal(scale=0.01, size=(2, 6 * count, RANK))
-    marginals = roots[0] @ roots[0].T, roots[1] @ roots[1].T
-    return {"map_a": maps[0], "map_b": maps[1], "closures": closures, "marginals": marginals}
 
 
 def _compiled(kernel: str, problem: ConsistencyProblem) -> Call:

@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jaxlie
 import numpy as np
 from jaxtyping import Float
 
 from pcm_jax import LoopClosures, PoseGraph, lie
 
+RANK = 60
+"""Of the joint covariances of `between_chains`."""
 NOISE = 0.02
 """Of map edges, radians and metres: small enough for first-order propagation to hold."""
 
@@ -72,6 +75,32 @@ def random_closures(
         measurement=measurement,
         covariance=covariance,
     )
+
+
+def between_chains(count: int, poses: int | None = None) -> dict[str, Any]:
+    """Closures between two chains of poses in space.
+
+    The joint covariances are random ones of low rank: a kernel's time does not depend on them, and
+    finding those of 6,000 coordinates would take longer than all the rest.
+
+    Args:
+        count: of closures.
+        poses: of either chain; by default as many as closures, each of which has its own.
+
+    Returns:
+        What `consistency_problem` takes.
+    """
+    generator = np.random.default_rng(count)
+    maps = []
+    for _ in range(2):
+        tangents: Any = generator.normal(size=(poses or count, 6))
+        chain = lie.exp(jaxlie.SE3, tangents)
+        maps.append(PoseGraph.from_trajectory(chain, sigma_translation=0.1, sigma_rotation=0.01))
+    closures = random_closures(generator, maps, count, once=poses is None)
+    touched = [len(np.unique(each)) for each in (closures.pose_a, closures.pose_b)]
+    roots = [generator.normal(scale=0.01, size=(6 * own, RANK)) for own in touched]
+    marginals = tuple(root @ root.T for root in roots)
+    return {"map_a": maps[0], "map_b": maps[1], "closures": closures, "marginals": marginals}
 
 
 def moved(graph: PoseGraph, generator: np.random.Generator, distance: float) -> PoseGraph:

@@ -4,6 +4,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+from long._rtabmap_tables import INSERT_LINK, INSERT_NODE, blob, make_tables
 
 from pcm_jax import lie
 from pcm_jax.errors import FileFormatError
@@ -12,28 +13,15 @@ from pcm_jax.files import read_graph
 INFORMATION = np.diag([100.0, 100, 100, 400, 400, 400])
 
 
-def blob(x, dtype=np.float32):
-    matrix = np.eye(4)[:3]
-    matrix[0, 3] = x
-    return matrix.astype(dtype).tobytes()
-
-
 @pytest.fixture
 def base(tmp_path):
     """Two sessions of three poses, two closures between them, a landmark and a prior."""
     path = tmp_path / "two.db"
     with sqlite3.connect(path) as made:
-        made.execute(
-            "CREATE TABLE Node (id INTEGER PRIMARY KEY, map_id INTEGER, weight INTEGER,"
-            " stamp FLOAT, pose BLOB, ground_truth_pose BLOB)"
-        )
-        made.execute(
-            "CREATE TABLE Link (from_id INTEGER, to_id INTEGER, type INTEGER,"
-            " information_matrix BLOB NOT NULL, transform BLOB)"
-        )
+        make_tables(made)
         for node in range(1, 7):
             made.execute(
-                "INSERT INTO Node VALUES (?, ?, 0, ?, ?, ?)",
+                INSERT_NODE,
                 (node, int(node > 3), 1000.0 + node, blob(node - 1.0), blob(2.0 * node)),
             )
         weight = INFORMATION.tobytes()
@@ -41,9 +29,7 @@ def base(tmp_path):
         rows += [(b, a, kind, -x) for a, b, kind, x in rows]  # stored at both ends
         rows += [(4, 1, 1, 3.0), (6, 3, 4, 3.0), (1, -1, 8, 0.0), (1, 1, 7, 0.5)]
         for first, second, kind, x in rows:
-            made.execute(
-                "INSERT INTO Link VALUES (?, ?, ?, ?, ?)", (first, second, kind, weight, blob(x))
-            )
+            made.execute(INSERT_LINK, (first, second, kind, weight, blob(x)))
     made.close()
     return path
 

@@ -2,6 +2,7 @@
 
 _log        what every log says of its run: commit, machine, seconds
 _seeds      small valid files of every format, to be changed
+_rtabmap_tables the tables of a database, to be filled
 _g2o_oracle a strict reader of g2o of its own
 _executed   which lines each test file executes, noted by a plugin of pytest
 _sites      the small changes that can be made to a module's text

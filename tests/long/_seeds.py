@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from ._rtabmap_tables import INSERT_LINK, INSERT_NODE, blob, make_tables
+
 KEYS = [ord("a") << 56, ord("b") << 56]
 UNIT3, UNIT6 = "1 0 0 1 0 1", "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
 
@@ -146,27 +148,15 @@ def binaries(folder: Path) -> list[Seed]:
 
 
 def _rtabmap(path: Path) -> bytes:
-    def blob(x: float) -> bytes:
-        matrix = np.eye(4, dtype=np.float32)[:3]
-        matrix[0, 3] = x
-        return matrix.tobytes()
-
     with contextlib.closing(sqlite3.connect(path)) as made, made:
         made.execute("PRAGMA page_size=512")
-        made.execute(
-            "CREATE TABLE Node (id INTEGER PRIMARY KEY, map_id INTEGER, weight INTEGER,"
-            " stamp FLOAT, pose BLOB, ground_truth_pose BLOB)"
-        )
-        made.execute(
-            "CREATE TABLE Link (from_id INTEGER, to_id INTEGER, type INTEGER,"
-            " information_matrix BLOB NOT NULL, transform BLOB)"
-        )
+        make_tables(made)
         for node in range(1, 5):
             row = (node, int(node > 2), 1000.0 + node, blob(node), blob(2.0 * node))
-            made.execute("INSERT INTO Node VALUES (?, ?, 0, ?, ?, ?)", row)
+            made.execute(INSERT_NODE, row)
         for first, second, kind in ((1, 2, 0), (3, 4, 0), (3, 1, 1), (4, 2, 1)):
             row = (first, second, kind, np.eye(6).tobytes(), blob(1.0))
-            made.execute("INSERT INTO Link VALUES (?, ?, ?, ?, ?)", row)
+            made.execute(INSERT_LINK, row)
     return path.read_bytes()
 
 
