@@ -6,6 +6,8 @@ _frames          whose frame a group's priors are in, and whether it is one
 joint            the maps of a group as one pose graph, and its solution
 robust/          the same, of all closures, scaled by how well they fit
 merged           every group at its optimum, and the poses back in the robots' maps
+_innovation      edges against the map that the others make
+consensus        the closures of a set that the map takes in as it grows
 recall           edges that were left out, but agree with the merged map, come back
 refine           that, and graduated non-convexity before it
 refinement       `Refinement`: what these changed

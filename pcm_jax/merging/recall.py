@@ -2,13 +2,7 @@
 
 A set of k right closures is pairwise consistent only if all k(k − 1)/2 pairs pass the gate, so the
 larger a set of right ones, the more of them the largest clique leaves out. The merged map judges
-each by itself. With whitened residual r and Jacobians J of an edge at the optimum, Σ the joint
-covariance of its two poses there, and P = J Σ Jᵀ,
-
-    an edge left out        χ² = rᵀ (I + P)⁻¹ r     by which the map's χ² rises if it enters,
-    an edge that is in it   χ² = rᵀ (I − P)⁻¹ r     by which it falls if it leaves,
-
-the same number of one edge to first order, chi-squared with d degrees of freedom if it is right.
+each by itself, see `_innovation`.
 
 Rounds: all that may come back and pass the gate, come back, and the map is solved again, until
 nothing changes, at most `ROUNDS` times. Four conditions keep false ones from letting in more:
@@ -39,20 +33,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from pcm_jax import lie
 from pcm_jax.consistency import chi2_gate
 from pcm_jax.graph import PoseGraph
-from pcm_jax.mapping import MapCovariance
-from pcm_jax.mapping._linearization import linearize
-from pcm_jax.mapping.least_squares import padded_edges
-from pcm_jax.mapping.optimization import host_arrays, problem_of
+from pcm_jax.mapping.optimization import problem_of
+from pcm_jax.merging._innovation import squared_by_leaving
 from pcm_jax.merging.refinement import JointTest
 
 ROUNDS = 20
-PANEL = 64
-"""Edges whose poses' joint covariance is formed at once; of larger panels most is not used."""
 OVERSTATED = 0.7
 """Scale of the accepted edges' χ² below which their stated errors are taken to be too large."""
 STEPS = 30
@@ -221,48 +210,6 @@ class _Rounds:
         graph, mask = self.merged.with_poses(state.poses), self._mask(state.back)
         squared[rows] = squared_by_leaving(graph, mask, self.eligible[rows])
         return squared
-
-
-def squared_by_leaving(
-    graph: PoseGraph, used: Bool[np.ndarray, " e"], edges: Int[np.ndarray, " k"]
-) -> Float[np.ndarray, " k"]:
-    """χ² of some edges in the map of all used ones but themselves.
-
-    Args:
-        graph: at the optimum of the edges used.
-        used: which edges hold.
-        edges: which are asked for, used or not.
-    """
-    covariance = MapCovariance(graph.with_edges(used))
-    tail, head, measurement, information = host_arrays(graph)
-    squared = np.empty(len(edges))
-    by_place = np.argsort(tail[edges], kind="stable")
-    for start in range(0, len(edges), PANEL):
-        rows = by_place[start : start + PANEL]
-        some = edges[rows]
-        chosen = tail[some], head[some], lie.take(measurement, some), information[some]
-        linear = linearize(lie.as_numpy(graph.poses), padded_edges(*chosen, size=len(some)))
-        both = np.stack([np.asarray(linear.tail), np.asarray(linear.head)]).transpose(3, 1, 0, 2)
-        joint = _of_pairs(covariance, tail[some], head[some])
-        d = both.shape[1]
-        jacobian = both.reshape(len(some), d, 2 * d)
-        predicted = jacobian @ joint @ jacobian.swapaxes(1, 2)
-        sign = np.where(used[some], -1.0, 1.0)[:, None, None]
-        residual = np.asarray(linear.residual).T[..., None]
-        weighed = np.linalg.solve(np.eye(d) + sign * predicted, residual)
-        squared[rows] = np.sum(residual * weighed, axis=(1, 2))
-    return squared
-
-
-def _of_pairs(
-    covariance: MapCovariance, tail: np.ndarray, head: np.ndarray
-) -> Float[np.ndarray, "k 2*d 2*d"]:
-    """The joint covariance of every edge's two poses."""
-    poses, at = np.unique(np.stack([tail, head]), return_inverse=True)
-    at, d = at.reshape(2, -1), covariance.pose_graph.tangent_dim
-    joint = covariance.joint(poses).reshape(len(poses), d, len(poses), d)
-    blocks = joint[at.T[:, :, None], :, at.T[:, None, :], :]
-    return blocks.transpose(0, 1, 3, 2, 4).reshape(len(tail), 2 * d, 2 * d)
 
 
 def _worse_half(those: np.ndarray, squared: np.ndarray) -> np.ndarray:

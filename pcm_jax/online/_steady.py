@@ -82,6 +82,7 @@ def changes(
     accepted: Bool[np.ndarray, " k"],
     agree: Bool[np.ndarray, "k k"],
     why: str,
+    dropped: Bool[np.ndarray, " k"] | None = None,
 ) -> Iterator[tuple[int, str, str]]:
     """Row, event and reason of each closure that entered an answer or left it.
 
@@ -90,12 +91,15 @@ def changes(
         accepted: marks those believed now.
         agree: who agrees with whom, symmetric.
         why: the verdict on all of them.
+        dropped: marks those that the map of the others contradicts.
     """
     for row in np.flatnonzero(before != accepted).tolist():
         if accepted[row]:
             others = accepted & (np.arange(len(accepted)) != row)
             with_it = int((agree[row] & others).sum())
             yield row, "entered", f"agrees with {with_it} of the {int(others.sum())} others"
+        elif dropped is not None and dropped[row]:
+            yield row, "left", f"the map of the {int(accepted.sum())} believed now contradicts it"
         else:
             yield row, "left", _why_it_left(agree[row], accepted, why)
 

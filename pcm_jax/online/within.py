@@ -262,7 +262,7 @@ class IncrementalWithin:
             )
             found = self._selection = decided(self.graph, self._question, held)
             self._log.extend(self._changes(found))
-            self._members = found.accepted & ~found.recalled
+            self._members = (found.accepted & ~found.recalled) | found.dropped
             self._believed = found.accepted
         return self._selection
 
@@ -335,7 +335,9 @@ class IncrementalWithin:
             return
         graph, agree = self.graph, agreeing(found.squared, found.gate)
         why = found.verdict.why
-        for row, event, reason in changes(self._believed, found.accepted, agree, why):
+        for row, event, reason in changes(
+            self._believed, found.accepted, agree, why, found.dropped
+        ):
             edge = found.closures[row]
             a, b = (graph.pose_name(int(at[edge])) for at in (graph.tail, graph.head))
             yield Change(self._step, row, a, b, event, reason)

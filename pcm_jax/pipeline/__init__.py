@@ -4,6 +4,7 @@ stages   how long each step took, and what is told of it
 weigh    steps i and ii for every pair of robots: evidence
 select   step iii: the closures to believe
 within_trials  one map's closures under several scales of odometry's errors
+_within_recheck  closures of the largest set that the map which they make contradicts
 _within_recall  closures that the largest set leaves out and the cleaned map agrees with
 within_decision  the closures of one map to believe, from those
 within   all of it inside one robot's map: the loop closures to believe there

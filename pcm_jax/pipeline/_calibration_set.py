@@ -28,11 +28,10 @@ from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.integrity import SIGNIFICANCE, chance_level, places_of
 from pcm_jax.integrity.calibration import closing_edges
 from pcm_jax.integrity.variance_components import Part
-from pcm_jax.mapping import optimize
 from pcm_jax.merging.alignment import aligned_anchors
+from pcm_jax.merging.consensus import fitting_edges
 from pcm_jax.merging.groups import closures_within, robot_groups
 from pcm_jax.merging.joint import joint_graph
-from pcm_jax.merging.recall import squared_by_leaving
 from pcm_jax.pipeline.weigh import weigh
 from pcm_jax.selection import choose
 
@@ -45,10 +44,6 @@ LIMIT = 5.0
 """Seconds for a clique."""
 MISSED = 0.1
 """Of what the gate of pairs misses, what that of single closures misses."""
-SOLVES = 5
-"""Of a map, each with the closures that fitted the one before, at most."""
-HALF = 0.5
-"""Of the largest set, the least that must fit its own map."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +146,7 @@ def fitting(graph: MultiRobotGraph, start: CalibrationSet, confidence: float) ->
     for group in _groups(graph, start.between):
         whole, held, asked = _group_edges(graph, start, group)
         if asked.any():
-            held = _fitting(whole, held, np.flatnonzero(asked), gate)
+            held = fitting_edges(whole, held, np.flatnonzero(asked), gate)
         edges = 0
         for robot in group.members:
             inside[robot] = held[edges : edges + graph.maps[robot].num_edges]
@@ -200,24 +195,6 @@ def _group_edges(
         closing_edges(graph.maps[robot]) & chosen.cleaned[robot] for robot in group.members
     ] + [np.full(len(group.closures), chosen.chosen)]
     return whole, np.concatenate(held), np.concatenate(gated)
-
-
-def _fitting(whole: PoseGraph, held: np.ndarray, asked: np.ndarray, gate: float) -> np.ndarray:
-    first, poses = held[asked], whole.poses
-    for _ in range(SOLVES):
-        solved = optimize(whole.with_poses(poses).with_edges(held), initial="given")
-        if not solved.converged:
-            break
-        poses = solved.graph.poses
-        fits = squared_by_leaving(whole.with_poses(poses), held, asked) <= gate
-        if (fits & first).sum() < HALF * first.sum():
-            break
-        settled = bool((fits == held[asked]).all())
-        held = held.copy()
-        held[asked] = fits
-        if settled:
-            break
-    return held
 
 
 def _largest(pair: PairEvidence, gate: float) -> Bool[np.ndarray, " k"]:

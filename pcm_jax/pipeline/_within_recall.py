@@ -6,8 +6,6 @@ odometry and the set make judges each of the others by itself, see `merging.reca
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Bool
 
@@ -15,6 +13,7 @@ from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping import optimize
 from pcm_jax.merging.recall import recall
 from pcm_jax.merging.refinement import JointTest
+from pcm_jax.pipeline._within_recheck import scaled
 
 
 def with_recalled(
@@ -36,9 +35,7 @@ def with_recalled(
     """
     if kept.all():
         return kept
-    information = np.array(pose_graph.information)
-    information[odometry] /= factor**2
-    whole = dataclasses.replace(pose_graph.without_priors(), information=information)
+    whole = scaled(pose_graph, odometry, factor)
     solution = optimize(whole.with_edges(kept))
     if not solution.converged:
         return kept

@@ -16,6 +16,7 @@ from pcm_jax.graph import PoseGraph
 from pcm_jax.integrity import SIGNIFICANCE, ChanceLevel, Places, Verdict
 from pcm_jax.integrity.within import level_of_measurements, level_of_poses
 from pcm_jax.pipeline._within_recall import with_recalled
+from pcm_jax.pipeline._within_recheck import rechecked
 from pcm_jax.pipeline.select import CHANCE, check_minimum
 from pcm_jax.pipeline.within_trials import Asked, Trial, Trials
 from pcm_jax.selection.choose import Method, check_method
@@ -33,7 +34,7 @@ class Question:
 
     Attributes:
         confidence, method, own_loop, odometry_scale, minimum_inliers, significance, separation,
-        recall, time_limit, seed: as there.
+        recheck, recall, time_limit, seed: as there.
         options: the method's own.
 
     Raises:
@@ -47,6 +48,7 @@ class Question:
     minimum_inliers: int | str = CHANCE
     significance: float | None = None
     separation: float | None = None
+    recheck: bool = False
     recall: bool | None = None
     time_limit: float | None = None
     seed: int | None = None
@@ -58,6 +60,8 @@ class Question:
         check_numbers(self.odometry_scale, self.significance, self.separation)
         if self.recall is not None and not isinstance(self.recall, bool):
             raise InputError(f"recall: {self.recall!r}, expected True, False or None")
+        if not isinstance(self.recheck, bool):
+            raise InputError(f"recheck: {self.recheck!r}, expected True or False")
 
     @classmethod
     def from_options(cls, options: dict[str, Any]) -> Question:
@@ -113,10 +117,12 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
     trial, verdict = _judged(trials, found, question)
     kept = odometry.copy()
     kept[closures] = trial.members & verdict.believed
-    members = kept.copy()
+    members, asked_of = kept, {"factor": trial.factor, "confidence": question.confidence}
     judged = time.perf_counter()
+    if question.recheck:
+        kept = rechecked(pose_graph, kept, odometry, **asked_of)
+    checked = time.perf_counter()
     if question.recalls and kept[closures].any():
-        asked_of = {"factor": trial.factor, "confidence": question.confidence}
         kept = with_recalled(pose_graph, kept, odometry, **asked_of)
     return WithinSelection(
         graph=pose_graph.with_edges(kept),
@@ -128,13 +134,15 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
         gate=asked.gate,
         accepted=kept[closures],
         recalled=(kept & ~members)[closures],
+        dropped=(members & ~kept)[closures],
         optimal=trial.choice.optimal,
         upper_bound=trial.choice.upper_bound,
         seconds={
             "consistency": trials.measuring,
             "clique": chosen - start - trials.measuring,
             "chance": judged - chosen,
-            "recall": time.perf_counter() - judged,
+            "recheck": checked - judged,
+            "recall": time.perf_counter() - checked,
         },
         odometry_scale=trial.factor,
         verdict=verdict,

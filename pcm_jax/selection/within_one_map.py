@@ -25,12 +25,14 @@ class WithinSelection:
             odometry's errors as large as `odometry_scale` says.
         own_squared: float64 [m], of each closure's loop with odometry alone, likewise.
         gate: γ², of either.
-        accepted: bool [m], the largest set and what came back.
+        accepted: bool [m], the largest set less what left it, and what came back.
         recalled: bool [m], those that the largest set leaves out and the map agrees with.
+        dropped: bool [m], those of the largest set that the map contradicts.
         optimal: whether no larger pairwise consistent set exists (under `own_loop`: among the
             closures that agree with odometry); None if the method does not say.
         upper_bound: no such set has more members; None likewise.
-        seconds: wall-clock time of `"consistency"`, `"clique"`, `"chance"` and `"recall"`.
+        seconds: wall-clock time of `"consistency"`, `"clique"`, `"chance"`, `"recheck"` and
+            `"recall"`.
         odometry_scale: the factor on the standard deviations that odometry states under which it
             was tested; 1: as stated.
         verdict: why the closures found are accepted or not, see `integrity.Verdict`.
@@ -45,6 +47,7 @@ class WithinSelection:
     gate: float
     accepted: Bool[np.ndarray, " m"]
     recalled: Bool[np.ndarray, " m"]
+    dropped: Bool[np.ndarray, " m"]
     optimal: bool | None
     upper_bound: int | None
     seconds: dict[str, float]
@@ -53,8 +56,9 @@ class WithinSelection:
 
     def __repr__(self) -> str:
         proof = {None: "not looked for", True: "proven", False: f"at most {self.upper_bound}"}
-        count = int(self.recalled.sum())
-        back = f"; {count} more by recall" if count else ""
+        count, less = int(self.recalled.sum()), int(self.dropped.sum())
+        back = f"; {less} dropped by recheck" if less else ""
+        back += f"; {count} more by recall" if count else ""
         why = f"\n  verdict      {self.verdict.why}" if self.verdict else ""
         return (
             f"WithinSelection({int(self.accepted.sum())} of {len(self.accepted)} closures accepted)"

@@ -22,7 +22,7 @@ from pcm_jax.mapping import optimize
 from pcm_jax.mapping._linearization import linearize
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
-from pcm_jax.merging.recall import squared_by_leaving
+from pcm_jax.merging._innovation import squared_by_leaving
 from pcm_jax.simulation import simulate_city
 
 STATED = np.array([4.0, 0.25, 9.0, 0.5])

@@ -15,8 +15,9 @@ from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping import optimize
 from pcm_jax.merging import refine as refining
+from pcm_jax.merging._innovation import squared_by_leaving
 from pcm_jax.merging.joint import joint_graph
-from pcm_jax.merging.recall import ROUNDS, squared_by_leaving
+from pcm_jax.merging.recall import ROUNDS
 from pcm_jax.merging.robust.solve import Turns
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import simulate_city, simulate_sessions

@@ -128,6 +128,7 @@ def test_the_public_name():
         {"minimum_inliers": 3, "confidence": 0.9, "recall": True},
         {"method": "pcm-heuristic", "seed": 3},
         {"tie_break": "distance"},
+        {"recheck": True},
         {"method": lambda evidence, gate: evidence.consistent(gate).sum(axis=1) > 4},
     ],
 )

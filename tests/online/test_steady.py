@@ -101,6 +101,8 @@ def test_reasons():
     )
     agree[3, :3] = agree[:3, 3] = True
     assert "is not of the set chosen" in list(changes(before, now, agree, ""))[3][2]
+    contradicted = list(changes(before, now, agree, "", mask(5, [3])))[3]
+    assert contradicted == (3, "left", "the map of the 3 believed now contradicts it")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.integrity.calibration import closing_edges, scaled_graph
 from pcm_jax.integrity.variance_components import variance_components
 from pcm_jax.mapping import optimize
-from pcm_jax.merging.recall import squared_by_leaving
+from pcm_jax.merging._innovation import squared_by_leaving
 from pcm_jax.pipeline._calibration_set import (
     CalibrationSet,
     agreeing,

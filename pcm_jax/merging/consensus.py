@@ -1,0 +1,225 @@
+"""Consensus: the map as it grows judges each closure of a set.
+
+Two closures far apart agree by any standard where odometry between them says little, and so a set
+that agrees pair by pair may hold false ones: in space, where stated errors add up to the size of
+the map, nearly all. The map that right closures make knows better. As Olivastri and Pretto have it
+(IPC, "Robust incremental pose graph optimization", ICRA 2024), closures are taken along the way, in
+the order in which the later of their poses comes; here some dozens at a time, and of those first
+the ones that the map so far predicts best:
+
+    width     of the closures of a stretch those are judged whose test is at most `WIDE` wide, or
+              twice as wide as that of the best predicted one; then the map is solved with those
+              that pass, and what is left is judged by that.
+    gate      χ² of each against the map so far, by the covariance of both, see `_innovation`.
+    joint     the χ² of the map rises by less than the quantile of its degrees of freedom. Where it
+              does not, or the solve does not end, the worst leave, of those taken before as well
+              if their own residuals are beyond the gate, and the map is solved again.
+
+Unlike there nothing is decided for good. In the end every closure of the set is judged in the map
+of all the others, until none enters or leaves (`fitting_edges`).
+
+Host; a stretch is a few solves of the map up to its last pose.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from pcm_jax import lie
+from pcm_jax.consistency import chi2_gate
+from pcm_jax.graph import PoseGraph
+from pcm_jax.mapping import optimize
+from pcm_jax.mapping.least_squares import Solved
+from pcm_jax.mapping.optimization import host_arrays, problem_of
+from pcm_jax.merging._innovation import innovation, squared_by_leaving
+from pcm_jax.merging.robust.solve import squared_residuals
+
+STRETCH = 150
+"""Closures that a stretch of the way has about."""
+WIDE = 16.0
+"""Width of a test that is made at once, see `_innovation`."""
+LOOSE = 1e-3
+"""Relative fall of the cost at which a solve on the way ends."""
+STEPS = 20
+"""Evaluations of a solve on the way, after which the closures are taken not to fit."""
+WORST = 0.5
+"""Of the largest χ², that of closures which leave along with the one that has it."""
+SOLVES = 5
+"""Of the whole map, each with the closures that fitted the one before, at most."""
+HALF = 0.5
+"""Of a set, the least that must fit its own map."""
+
+
+def consensus(
+    chain: PoseGraph,
+    odometry: Bool[np.ndarray, " e"],
+    candidates: Bool[np.ndarray, " e"],
+    *,
+    confidence: float,
+) -> tuple[Bool[np.ndarray, " e"], PoseGraph]:
+    """Takes the closures of a set into the map one stretch after another, as far as they fit.
+
+    Args:
+        chain: a map with all edges, at the poses that odometry alone gives; priors play no part.
+        odometry: edges that are not in doubt, one from each pose to the next.
+        candidates: the set, none of them odometry.
+        confidence: of the gate, and of the joint test.
+
+    Returns:
+        Marks of odometry and of what was taken in, and the graph at poses solved with these.
+    """
+    way = _Way(chain, odometry, candidates, confidence)
+    late = np.maximum(chain.tail, chain.head)[candidates]
+    for upto in _stretches(late, chain.num_poses):
+        way.go(upto)
+    return way.used, chain.with_poses(way.poses)
+
+
+def fitting_edges(
+    whole: PoseGraph, held: Bool[np.ndarray, " e"], asked: Int[np.ndarray, " k"], gate: float
+) -> Bool[np.ndarray, " e"]:
+    """Marks the edges that fit the map of all the others, until none enters or leaves.
+
+    Args:
+        whole: a map with all edges, at poses to begin with.
+        held: edges that make the first map; those that are not asked for stay.
+        asked: edges to be judged one by one, held or not.
+        gate: γ² that each must pass.
+    """
+    first, poses = held[asked], whole.poses
+    for _ in range(SOLVES):
+        solved = optimize(whole.with_poses(poses).with_edges(held), initial="given")
+        if not solved.converged:
+            break
+        poses = solved.graph.poses
+        fits = squared_by_leaving(whole.with_poses(poses), held, asked) <= gate
+        if (fits & first).sum() < HALF * first.sum():
+            break
+        settled = bool((fits == held[asked]).all())
+        held = held.copy()
+        held[asked] = fits
+        if settled:
+            break
+    return held
+
+
+class _Here(NamedTuple):
+    """The map up to some pose.
+
+    Attributes:
+        graph: its poses and all edges among them.
+        rows: int `[r]`, these in the whole map.
+        used: bool `[r]`, those that hold.
+        cost: 0.5 Σ rᵀΩr of these.
+    """
+
+    graph: PoseGraph
+    rows: Int[np.ndarray, " r"]
+    used: Bool[np.ndarray, " r"]
+    cost: float
+
+
+class _Way:
+    """The map as far as it has come."""
+
+    def __init__(
+        self, chain: PoseGraph, odometry: np.ndarray, candidates: np.ndarray, confidence: float
+    ):
+        self.chain, self.odometry, self.confidence = chain, odometry, confidence
+        self.used, self.open = odometry.copy(), candidates.copy()
+        self.poses, self.solved, self.cost = lie.as_numpy(chain.poses), 1, 0.0
+        self.dim = chain.tangent_dim
+        self.gate = float(chi2_gate(confidence, self.dim))
+
+    def go(self, upto: int) -> None:
+        """Goes on to a pose: judges the closures among those up to it."""
+        here = self._up_to(upto)
+        asked = np.flatnonzero(self.open[here.rows])
+        while len(asked):
+            judged = innovation(here.graph, here.used, asked)
+            near = judged.width <= max(WIDE, 2.0 * judged.width.min())
+            passing = asked[near & (judged.squared <= self.gate)]
+            here = self._with(here, passing)
+            asked = asked[~near]
+        self.open[here.rows], self.used[here.rows] = False, here.used
+        self.cost = here.cost
+        rest = lie.take(self.poses, np.arange(upto, self.chain.num_poses))
+        self.poses = lie.concatenate([lie.as_numpy(here.graph.poses), rest])
+        self.solved = upto
+
+    def _up_to(self, count: int) -> _Here:
+        """The map up to a pose, the new poses where odometry puts them from the last one solved."""
+        last, chain = self.solved - 1, lie.as_numpy(self.chain.poses)
+        step = lie.compose(lie.take(self.poses, last), lie.inverse(lie.take(chain, last)))
+        rest = lie.take(chain, np.arange(self.solved, self.chain.num_poses))
+        moved = lie.compose(_repeated(step, len(lie.parameters(rest))), rest)
+        known = lie.take(self.poses, np.arange(self.solved))
+        self.poses = lie.concatenate([known, lie.normalize(moved)])
+        rows = np.flatnonzero(np.maximum(self.chain.tail, self.chain.head) < count)
+        return _Here(_first(self.chain, self.poses, count, rows), rows, self.used[rows], self.cost)
+
+    def _with(self, here: _Here, entering: np.ndarray) -> _Here:
+        """The map with closures that enter, less those that it cannot hold together."""
+        before = int((here.used & ~self.odometry[here.rows]).sum())
+        used = here.used.copy()
+        used[entering] = True
+        while (used != here.used).any():
+            solved = _solved(here.graph, used)
+            more = int((used & ~self.odometry[here.rows]).sum()) - before
+            rise = 2.0 * (solved.cost - here.cost)
+            if solved.converged and rise <= chi2_gate(self.confidence, self.dim * max(1, more)):
+                return _Here(here.graph.with_poses(solved.poses), here.rows, used, solved.cost)
+            worst = self._worst(here, used, solved, entering)
+            if not len(worst):
+                return _Here(here.graph.with_poses(solved.poses), here.rows, used, solved.cost)
+            used[worst] = False
+        return here
+
+    def _worst(
+        self, here: _Here, used: np.ndarray, solved: Solved, entering: np.ndarray
+    ) -> Int[np.ndarray, " k"]:
+        """The closures that fit worst, of those that entered and those that are strained."""
+        doubted = used & ~self.odometry[here.rows]
+        graph = here.graph.with_poses(solved.poses)
+        own = squared_residuals(graph.poses, *host_arrays(graph))
+        new = np.isin(np.arange(len(used)), entering)
+        rows = np.flatnonzero(doubted & (new | (own > self.gate)))
+        squared = squared_by_leaving(graph, used, rows) if solved.converged else own[rows]
+        squared = np.where(np.isfinite(squared) & (squared >= 0.0), squared, np.inf)
+        most = squared.max(initial=0.0)
+        least = self.gate if solved.converged else 0.0
+        return rows[(squared > least) & (squared >= WORST * most)]
+
+
+def _stretches(late: Int[np.ndarray, " k"], poses: int) -> list[int]:
+    """The numbers of poses at which stretches end, about equally many closures in each."""
+    parts = max(1, round(len(late) / STRETCH))
+    ends = np.sort(late)[np.linspace(0, len(late), parts + 1).astype(int)[1:-1] - 1] + 1
+    return [*np.unique(ends).tolist(), poses]
+
+
+def _first(whole: PoseGraph, poses: Any, count: int, rows: np.ndarray) -> PoseGraph:
+    """The first poses of a map, and the edges among them."""
+    return dataclasses.replace(
+        whole,
+        poses=lie.take(poses, np.arange(count)),
+        tail=whole.tail[rows],
+        head=whole.head[rows],
+        measurement=lie.take(lie.as_numpy(whole.measurement), rows),
+        information=np.asarray(whole.information)[rows],
+        source=whole.source[rows],
+        ids=whole.ids[:count],
+        stamps=None if whole.stamps is None else whole.stamps[:count],
+    )
+
+
+def _solved(graph: PoseGraph, used: np.ndarray) -> Solved:
+    return problem_of(graph.with_edges(used)).solve(graph.poses, rtol=LOOSE, max_steps=STEPS)
+
+
+def _repeated(one: Any, count: int) -> Any:
+    return lie.take(lie.stack([one]), np.zeros(count, np.int64))
