@@ -2,7 +2,7 @@
 
     python -m tests.long.guided --minutes 600 --corpus FOLDER
 
-Seeds, readers and verdict are those of `fuzz`, and so are half of the changes; the others are
+Seeds, readers and verdict are those of `fuzz`, and so are most of the changes; the others are
 libFuzzer's, which Atheris drives (`pip install atheris`, on Linux; the package itself does not need
 it). Measured are the modules that read, see `READING`. ROS bags are left out:
 they take fifty milliseconds, and are read by modules that are not ours. An input is two bytes, the
@@ -35,6 +35,7 @@ from ._log import LOGS, ROOT, commit, machine, table
 READING = ("files", "graph", "online", "cli.explain", "cli._reports")
 ABSENT = "python -m tests.long.guided: needs Atheris, `pip install atheris`"
 BYTES, LONGEST, EVERY = 3 << 30, 1 << 16, 200  # of memory, of a file; inputs between two notes
+FRESH = 0.3  # of the inputs are made of a whole seed: what is broken twice is hardly accepted
 STATUS = re.compile(r"^#(\d+)\t(\w+).* cov: (\d+) ft: (\d+) corp: (\d+)/", re.MULTILINE)
 
 
@@ -126,7 +127,9 @@ class Target:
         one, _, content = self.parts(data)
         options = rng.randrange(len(self.fuzz.OPTIONS)) if rng.random() < 0.1 else 255
         head = bytes((self.seeds.index(one), options if rng.random() < 0.2 else data[1:2][0]))
-        if rng.random() < 0.5:
+        if rng.random() < FRESH:
+            content = self.fuzz.mutated(one, self.seeds, rng)
+        elif rng.random() < 0.5:
             content = self.fuzz.mutated(type(one)(one.name, content), self.seeds, rng)
         else:
             content = atheris.Mutate(content, max(1, most - 2))
