@@ -16,6 +16,7 @@ from pcm_jax.clique._adjacency import adjacency_matrix
 from pcm_jax.clique._bounds import degrees
 from pcm_jax.clique._costs import checked_squared
 from pcm_jax.clique._exact import BitGraph
+from pcm_jax.clique._heuristic import greedy_clique, greedy_heavy_clique
 from pcm_jax.clique._ties import _CheapestClique, smallest_by_total
 from pcm_jax.errors import InputError
 
@@ -138,6 +139,17 @@ def test_no_stage_forgets_the_clock_on_large_graphs(clock, weighted):
     assert clock.readings["_heuristic"] >= 1
     assert clock.readings["_ties"] >= 600  # the edges, vertex by vertex
     assert clock.readings["_weighted"] >= weighted  # without weights a colouring is the proof
+
+
+def test_the_first_clique_ends_with_the_time(clock):
+    """Of many members: each takes a step over all that are left."""
+    adjacency = complete_multipartite(200, 2)
+    weights = np.arange(1.0, 401.0)
+    for greedy in (greedy_clique, lambda *given: greedy_heavy_clique(given[0], weights, given[1])):
+        clock.readings.clear()
+        found = greedy(adjacency, 50.0)
+        assert 40 <= len(found) <= 50
+        assert is_clique(adjacency, np.isin(np.arange(400), found))
 
 
 def test_time_limit_holds_for_the_choice_among_equals(clock):
