@@ -126,7 +126,9 @@ class Target:
         rng = random.Random(number)
         one, _, content = self.parts(data)
         options = rng.randrange(len(self.fuzz.OPTIONS)) if rng.random() < 0.1 else 255
-        head = bytes((self.seeds.index(one), options if rng.random() < 0.2 else data[1:2][0]))
+        if rng.random() < 0.8 and len(data) > 1:
+            options = data[1]
+        head = bytes((self.seeds.index(one), options))
         if rng.random() < FRESH:
             content = self.fuzz.mutated(one, self.seeds, rng)
         elif rng.random() < 0.5:
