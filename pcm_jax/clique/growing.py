@@ -70,7 +70,7 @@ class GrowingClique:
 
     @classmethod
     def of_graph(cls, graph: Bool[np.ndarray, "m m"]) -> GrowingClique:
-        """Starts from a graph, whose clique is searched for when it is asked for.
+        """Starts from a graph, whose largest clique is searched for when it is asked for.
 
         Args:
             graph: symmetric, the diagonal false.
@@ -79,8 +79,9 @@ class GrowingClique:
         packed = np.packbits(graph, axis=1, bitorder="little")
         growing._near = [int.from_bytes(row.tobytes(), "little") for row in packed]
         if growing._near:
-            growing._members, growing._first = 1, None
-            growing._most = 1 + max(near.bit_count() for near in growing._near)
+            degree = [near.bit_count() for near in growing._near]
+            growing._members, growing._first = growing._greedy(degree.index(max(degree))), None
+            growing._most = 1 + max(degree)
         return growing
 
     def copy(self) -> GrowingClique:
@@ -189,6 +190,15 @@ class GrowingClique:
             members = self.first(start + time_limit)
         spent = perf_counter() - start
         return Clique(members, size, size == most, most, spent, size, most)
+
+    def _greedy(self, start: int) -> int:
+        """A clique that no vertex can be added to, from one vertex on by index."""
+        members, candidates = 1 << start, self._near[start]
+        while candidates:
+            lowest = candidates & -candidates
+            members |= lowest
+            candidates &= self._near[lowest.bit_length() - 1]
+        return members
 
     def _exchanged(self, near: int, own: int) -> int:
         """A clique of all but one of those in hand and one more, with which a new vertex agrees."""
