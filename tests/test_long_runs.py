@@ -4,10 +4,16 @@ import ast
 import json
 import random
 import textwrap
+import warnings
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
-from long import _sites, differential, faults, fuzz, load, mutants
+from long import _sites, determinism, differential, faults, fuzz, guided, limits, load, mutants
 from long._g2o_oracle import strict
+
+from pcm_jax.clique import maximum_clique
+from pcm_jax.errors import InputWarning
 
 SAMPLE = textwrap.dedent('''
     """Text."""
@@ -140,3 +146,98 @@ def test_files_that_are_cut_short_would_be_seen(tmp_path):
     report = tmp_path / "r.json"
     report.write_text(json.dumps({"seconds": 1, "cost": 2}))
     assert faults.told(report) == {"cost": 2}
+
+
+def test_a_folder_of_which_some_files_are_new_would_be_seen(tmp_path):
+    writer = object.__new__(faults.Writer)
+    writer.name, writer.place = "simulate --csv", tmp_path
+    writer.whole = {faults.FOLDER: {"a": b"new a", "b": b"new b"}}
+    writer.reset(True)
+    assert writer.faults(True) == []
+    folder = writer.out / faults.FOLDER
+    assert {one.name for one in folder.iterdir()} == {"a", "b", faults.THEIRS}
+    (folder / "a").write_bytes(b"new a")
+    assert len(writer.faults(True)) == 1
+    (folder / "b").write_bytes(b"new b")
+    assert writer.faults(True) == []
+    assert writer.is_new(faults.FOLDER, writer.found()[faults.FOLDER], True)
+    (folder / faults.THEIRS).unlink()
+    assert len(writer.faults(True)) == 1
+    assert writer.faults(False) == []
+
+
+@pytest.fixture
+def target(tmp_path, monkeypatch):
+    monkeypatch.setattr(fuzz, "binaries", lambda _: [])
+    for name in ("files", "corpus"):
+        (tmp_path / name).mkdir()
+    return guided.Target(fuzz, tmp_path / "files", tmp_path / "corpus", 10**9, float("inf"))
+
+
+def test_the_guided_fuzzer_begins_with_inputs_that_are_accepted(target, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)
+        for one in target.seeds:
+            data = (tmp_path / "corpus" / one.name).read_bytes()
+            assert target.parts(data) == (one, {}, one.data)
+            target(data)
+    assert target.told == {"tried": 15, "accepted": 15, "compared": 2}
+    assert target.kinds == {}
+    assert target.parts(b"")[0] in target.seeds
+
+
+def test_the_guided_fuzzer_changes_the_file_of_a_seed(target):
+    drawn = random.Random(0)
+    atheris = SimpleNamespace(Mutate=lambda content, most: content[: most - 8] + drawn.randbytes(8))
+    data = b"\x00\xff" + target.seeds[0].data
+    made = [target.changed(atheris, data, 4096, number) for number in range(200)]
+    assert {one[0] for one in made} == {0} and len({one[1] for one in made}) > 3
+    assert len(set(made)) > 150 and max(map(len, made)) <= 4096
+    for few in (b"", b"\x00", data):
+        assert all(len(target.changed(atheris, few, 40, number)) <= 40 for number in range(50))
+
+
+def test_the_guided_fuzzer_notes_what_it_finds(target, tmp_path, monkeypatch):
+    monkeypatch.setattr(fuzz, "verdict", lambda *_: ("odd", False, False))
+    for _ in range(3):
+        target(b"\x01\xffdata")
+    assert target.kinds == {f"{target.seeds[1].name}: odd": 3}
+    (found,) = (tmp_path / "corpus" / "found").iterdir()
+    assert found.read_bytes() == b"\x01\xffdata"
+    assert json.loads((tmp_path / "files" / "told.json").read_text())["told"]["tried"] == 3
+
+
+def test_what_libfuzzer_tells():
+    text = "INFO: seed\n#19\tINITED cov: 1315 ft: 2086 corp: 18/16Kb exec/s: 0 rss: 1Mb\n"
+    text += "#68627\tNEW    cov: 1707 ft: 3650 corp: 304/1Mb lim: 9 exec/s: 1 rss: 2Mb L: 9\n"
+    steps = [(19, "INITED", 1315, 2086, 18), (68627, "NEW", 1707, 3650, 304)]
+    assert guided.progress(text) == steps
+    assert guided.is_reading("pcm_jax.files.text") and not guided.is_reading("pcm_jax.clique")
+
+
+@pytest.mark.slow
+def test_another_hash_seed_and_order_give_the_same_files():
+    tried, wrong = determinism.run(range(1), ["hash seed 1", determinism.ORDER])
+    assert tried.total() == 2 and wrong == []
+
+
+def test_another_answer_would_be_seen():
+    def report(cost, accepted):
+        closures = [{"source": "c.csv:1", "accepted": accepted}]
+        return json.dumps({"closures": closures, "solution": {"cost": cost}}).encode()
+
+    assert determinism.same_answer(report(2.0, True), report(2.0 + 1e-10, True))
+    assert not determinism.same_answer(report(2.0, True), report(2.0 + 1e-6, True))
+    assert not determinism.same_answer(report(2.0, True), report(2.0, False))
+
+
+@pytest.mark.parametrize("kind", list(limits.GRAPHS))
+def test_graphs_for_time_limits_are_graphs(kind, monkeypatch):
+    monkeypatch.setattr(limits, "BLOCK", 70)
+    graph = limits.GRAPHS[kind](300)
+    assert (graph == graph.T).all() and not graph.diagonal().any()
+    found = maximum_clique(graph, method="heuristic")
+    assert limits.fault(graph, found, 2.29, 2.0) is None
+    assert limits.fault(graph, found, 2.31, 2.0) == "2.31 s where 2.0 were given"
+    empty = np.zeros_like(graph)
+    assert limits.fault(empty, found, 0.0, 2.0) == "no clique"

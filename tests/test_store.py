@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import itertools
+import os
 import stat
+import sys
 
 import numpy as np
 import pytest
 
+from pcm_jax import store
 from pcm_jax.errors import FileFormatError, InputError
+from pcm_jax.files import _replaced
 from pcm_jax.files.output import folder_written_whole, write_text
-from pcm_jax.store import Store, digest, write_json, written_whole
+from pcm_jax.store import Store, digest, exchange, write_json, written_whole
 
 
 def test_a_result_is_computed_once_for_the_same_options_and_sources(tmp_path):
@@ -141,6 +145,80 @@ def test_a_folder_has_its_name_once_its_files_are_there(tmp_path):
     nowhere = folder_written_whole(tmp_path / "no" / "maps")
     with pytest.raises(FileFormatError, match="cannot be written: No such file"), nowhere:
         pass
+
+
+def old_folder(place):
+    folder = place / "maps"
+    folder.mkdir(mode=0o750)
+    for name in ("a", "b", "theirs"):
+        (folder / name).write_text(f"old {name}")
+    (folder / "a").chmod(0o600)
+    return folder
+
+
+def contents(folder):
+    return {one.name: one.read_text() for one in folder.iterdir() if one.is_file()}
+
+
+NEW = {"a": "new a", "b": "new b", "theirs": "old theirs"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="folders are exchanged on Linux only")
+def test_a_folder_that_is_there_is_replaced_at_once(tmp_path, monkeypatch):
+    folder = old_folder(tmp_path)
+    before, seen = contents(folder), []
+
+    def seen_before_and_after(one, other):
+        seen.append(contents(folder))
+        (folder / "late").write_text("by another")  # while the new folder is put in its place
+        (folder / "theirs").unlink()
+        (folder / "theirs").write_text("changed by another")
+        exchange(one, other)
+        seen.append(contents(folder))
+
+    monkeypatch.setattr(_replaced, "exchange", seen_before_and_after)
+    with pytest.raises(RuntimeError), folder_written_whole(folder) as place:
+        write_text(place / "a", "new a")
+        raise RuntimeError
+    assert contents(folder) == before and seen == []
+    with folder_written_whole(folder) as place:
+        write_text(place / "a", "new a")
+        write_text(place / "b", "new b")
+        assert contents(folder) == before
+    assert seen == [before, NEW]
+    theirs = {"theirs": "changed by another", "late": "by another"}
+    assert contents(folder) == NEW | theirs
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o750
+    assert stat.S_IMODE((folder / "a").stat().st_mode) == 0o600
+    assert [one.name for one in tmp_path.iterdir()] == ["maps"]
+
+
+def a_folder_within(folder):
+    (folder / "more").mkdir()
+
+
+def a_link_of_ours(folder):
+    (folder / "a").rename(folder.parent / "far")
+    (folder / "a").symlink_to(folder.parent / "far")
+
+
+@pytest.mark.parametrize("unlike", [a_folder_within, a_link_of_ours, os.chdir, None])
+def test_a_folder_that_cannot_be_exchanged_gets_finished_files(unlike, tmp_path, monkeypatch):
+    folder = old_folder(tmp_path)
+    before, inode = contents(folder), folder.stat().st_ino
+    monkeypatch.chdir(tmp_path)
+    if unlike is None:
+        monkeypatch.setattr(store, "ON_LINUX", False)
+    else:
+        unlike(folder)
+    with folder_written_whole(folder) as place:
+        write_text(place / "a", "new a")
+        write_text(place / "b", "new b")
+        assert contents(folder) == before
+    assert contents(folder) == NEW and folder.stat().st_ino == inode
+    assert stat.S_IMODE((folder / "a").stat().st_mode) == 0o600
+    assert (folder / "a").is_symlink() == (unlike is a_link_of_ours)
+    assert not [one for one in (*tmp_path.iterdir(), *folder.iterdir()) if one.name[0] == "."]
 
 
 def test_results_that_were_changed_are_none(tmp_path):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files.output import check_target, write_bytes
+
+_DATES = {"svg": "Date", "pdf": "CreationDate"}
 
 
 def check_outputs(paths: Sequence[Path], inputs: Sequence[Path]) -> None:
@@ -44,10 +48,23 @@ def check_picture(path: Path) -> None:
 
 
 def save_picture(path: Path, ax: Any) -> None:
-    """Writes the figure that matplotlib axes are in, in the format of the path's suffix."""
+    """Writes the figure that matplotlib axes are in, in the format of the path's suffix.
+
+    The same figure gives the same bytes: without a date, and with ids of elements that are not
+    drawn at random.
+    """
+    import matplotlib
+
+    kind = path.suffix.lower().removeprefix(".")
+    form = "svg" if kind == "svgz" else kind
+    undated = {_DATES[form]: None} if form in _DATES else None
     picture = io.BytesIO()
-    ax.figure.savefig(picture, format=path.suffix.lower().removeprefix("."), bbox_inches="tight")
-    write_bytes(path, picture.getvalue())
+    with matplotlib.rc_context({"svg.hashsalt": "pcm_jax"}):
+        ax.figure.savefig(picture, format=form, bbox_inches="tight", metadata=undated)
+    data = picture.getvalue()
+    if form in ("ps", "eps"):
+        data = re.sub(rb"(?m)^%%CreationDate: .*\n", b"", data, count=1)
+    write_bytes(path, gzip.compress(data, mtime=0) if kind == "svgz" else data)
 
 
 def json_text(value: Any) -> str:

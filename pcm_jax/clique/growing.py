@@ -18,6 +18,7 @@ since a clique of ω among v's neighbours was one of those of which C is the fir
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from time import perf_counter
 
 import numpy as np
@@ -33,6 +34,8 @@ STEPS = 256
 until it is asked for, and is then decided for all vertices that came by one search."""
 SEARCHED = 400
 """Vertices left, up to which that search is made at all: of more it hardly ever decides."""
+ROWS = 1024
+"""Rows of a graph that are unpacked between two looks at the clock."""
 FEW = 8
 """Vertices that came, up to which the first clique is looked for among the neighbours of each."""
 UNDECIDED = -1
@@ -67,7 +70,7 @@ class GrowingClique:
 
     @classmethod
     def of_graph(cls, graph: Bool[np.ndarray, "m m"]) -> GrowingClique:
-        """Starts from a graph, whose clique is searched for when it is asked for.
+        """Starts from a graph, whose largest clique is searched for when it is asked for.
 
         Args:
             graph: symmetric, the diagonal false.
@@ -76,8 +79,9 @@ class GrowingClique:
         packed = np.packbits(graph, axis=1, bitorder="little")
         growing._near = [int.from_bytes(row.tobytes(), "little") for row in packed]
         if growing._near:
-            growing._members, growing._first = 1, None
-            growing._most = 1 + max(near.bit_count() for near in growing._near)
+            degree = [near.bit_count() for near in growing._near]
+            growing._members, growing._first = growing._greedy(degree.index(max(degree))), None
+            growing._most = 1 + max(degree)
         return growing
 
     def copy(self) -> GrowingClique:
@@ -99,8 +103,7 @@ class GrowingClique:
 
     def dense(self) -> Bool[np.ndarray, "m m"]:
         """The graph, bool `[m, m]`."""
-        count = len(self)
-        return self._table(np.arange(count)) if count else np.zeros((0, 0), bool)
+        return self._table(np.arange(len(self)))
 
     def add(self, agrees: Bool[np.ndarray, " m"]) -> int:
         """Adds a vertex, and returns it.
@@ -148,6 +151,14 @@ class GrowingClique:
                 size is known.
         """
         self._settle()
+        with suppress(TimeoutError):
+            self._find_first(deadline)
+        in_time = perf_counter() < deadline
+        self._since, self._first = [], self._members if in_time else None
+        return _as_mask(self._members, len(self))
+
+    def _find_first(self, deadline: float) -> None:
+        """Takes the first maximum clique by index into hand; at the deadline perhaps another."""
         size = self._most
         earlier = {v: self._near[v] & ((1 << v) - 1) for v in self._since}
         if self._first is None or len(earlier) > FEW:
@@ -162,9 +173,6 @@ class GrowingClique:
                 continue
             if _precedes(found | 1 << vertex, self._members):
                 self._members = found | 1 << vertex
-        in_time = perf_counter() < deadline
-        self._since, self._first = [], self._members if in_time else None
-        return _as_mask(self._members, len(self))
 
     def largest(self, time_limit: float = math.inf) -> Clique:
         """The maximum clique that is the first by index, or the best by a time.
@@ -174,13 +182,23 @@ class GrowingClique:
                 the search goes on from it when asked again.
         """
         start = perf_counter()
-        self._settle(start + time_limit)
+        with suppress(TimeoutError):
+            self._settle(start + time_limit)
         size, most = self._members.bit_count(), self._most
         members = _as_mask(self._members, len(self))
         if size == most:
             members = self.first(start + time_limit)
         spent = perf_counter() - start
         return Clique(members, size, size == most, most, spent, size, most)
+
+    def _greedy(self, start: int) -> int:
+        """A clique that no vertex can be added to, from one vertex on by index."""
+        members, candidates = 1 << start, self._near[start]
+        while candidates:
+            lowest = candidates & -candidates
+            members |= lowest
+            candidates &= self._near[lowest.bit_length() - 1]
+        return members
 
     def _exchanged(self, near: int, own: int) -> int:
         """A clique of all but one of those in hand and one more, with which a new vertex agrees."""
@@ -199,16 +217,21 @@ class GrowingClique:
         self._since = []
 
     def _settle(self, deadline: float = math.inf) -> None:
-        """Closes the gap between the clique in hand and the bound on the largest."""
+        """Closes the gap between the clique in hand and the bound on the largest.
+
+        Raises:
+            TimeoutError: at the deadline, before a search has begun.
+        """
         known = self._members.bit_count()
         if known == self._most:
             return
-        found = self._clique((1 << len(self)) - 1, known + 1, STEPS)
+        found = self._clique((1 << len(self)) - 1, known + 1, STEPS, deadline=deadline)
         if found is not None:
             self._first, self._since = None, []
             if found == UNDECIDED or known + 1 < self._most:
+                graph = self._table(np.arange(len(self)), deadline)
                 left = max(0.0, deadline - perf_counter())
-                whole = maximum_clique(self.dense(), time_limit=left)
+                whole = maximum_clique(graph, time_limit=left)
                 found = _as_set(whole.members)
                 if perf_counter() >= deadline:
                     self._members = found if whole.size > known else self._members
@@ -237,15 +260,18 @@ class GrowingClique:
             known: such a clique, if one is known.
             first: whether it has to be the first by index, of candidates that hold none larger.
             deadline: of the search for that one, or of one without end.
+
+        Raises:
+            TimeoutError: at the deadline, before a search has begun.
         """
         if size == 0:
             return 0
-        vertices = self._inside(candidates, size - 1)
+        vertices = self._inside(candidates, size - 1, deadline)
         if len(vertices) < size:
             return None
         if len(vertices) > SEARCHED and steps < math.inf:
             return UNDECIDED
-        graph = BitGraph(self._table(vertices))
+        graph = BitGraph(self._table(vertices, deadline), deadline=deadline)
         if known is None:
             outcome = largest_clique(
                 graph, graph.everything, size - 1, ceiling=size, steps=steps, deadline=deadline
@@ -260,10 +286,12 @@ class GrowingClique:
             labels = smallest_by_index(graph, labels, deadline)
         return None if labels is None else _set_of(vertices[graph.vertices_of(labels)])
 
-    def _inside(self, candidates: int, degree: int) -> Int[np.ndarray, " n"]:
+    def _inside(self, candidates: int, degree: int, deadline: float) -> Int[np.ndarray, " n"]:
         """Candidates with so many neighbours among them, ascending."""
         vertices = np.flatnonzero(_as_mask(candidates, len(self)))
         while len(vertices) > degree:
+            if perf_counter() > deadline:
+                raise TimeoutError
             few = [
                 v for v in vertices.tolist() if (self._near[v] & candidates).bit_count() < degree
             ]
@@ -273,12 +301,21 @@ class GrowingClique:
             vertices = np.setdiff1d(vertices, few, assume_unique=True)
         return vertices[:0]
 
-    def _table(self, vertices: Int[np.ndarray, " n"]) -> Bool[np.ndarray, "n n"]:
-        size = -(-len(self) // 8)
-        raw = b"".join(self._near[v].to_bytes(size, "little") for v in vertices.tolist())
-        packed = np.frombuffer(raw, np.uint8).reshape(len(vertices), size)
-        whole = np.unpackbits(packed, axis=1, count=len(self), bitorder="little").view(np.bool_)
-        return whole if len(vertices) == len(self) else whole[:, vertices]
+    def _table(
+        self, vertices: Int[np.ndarray, " n"], deadline: float = math.inf
+    ) -> Bool[np.ndarray, "n n"]:
+        """The graph of some vertices, some rows at a time."""
+        count, size = len(self), -(-len(self) // 8)
+        table = np.empty((len(vertices), len(vertices)), np.bool_)
+        for start in range(0, len(vertices), ROWS):
+            if perf_counter() > deadline:
+                raise TimeoutError
+            chosen = vertices[start : start + ROWS].tolist()
+            raw = b"".join(self._near[v].to_bytes(size, "little") for v in chosen)
+            packed = np.frombuffer(raw, np.uint8).reshape(len(chosen), size)
+            rows = np.unpackbits(packed, axis=1, count=count, bitorder="little").view(np.bool_)
+            table[start : start + ROWS] = rows if len(vertices) == count else rows[:, vertices]
+        return table
 
 
 def _as_set(mask: Bool[np.ndarray, " m"]) -> int:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import networkx
 
 METHODS = ("exact", "heuristic")
+_ROWS = 64
 Tell = Callable[[np.ndarray], object]
 """Takes the vertices of a better clique."""
 
@@ -204,10 +205,12 @@ def _checked_limit(time_limit: float | None) -> float:
 
 def _checked_members(adjacency: np.ndarray, found: np.ndarray) -> Bool[np.ndarray, " m"]:
     """The mask, after the check that it is a clique at all."""
-    pairs = adjacency[np.ix_(found, found)]
-    if np.count_nonzero(pairs) != len(found) * (len(found) - 1):
-        check_symmetric(adjacency)  # there may not have been time for it
-        raise RuntimeError("the search returned vertices that are not a clique: a bug")
     members = np.zeros(len(adjacency), bool)
     members[found] = True
+    pairs = 0
+    for start in range(0, len(found), _ROWS):  # a row's members by a mask are quicker than by index
+        pairs += np.count_nonzero(adjacency[found[start : start + _ROWS]] & members)
+    if pairs != len(found) * (len(found) - 1):
+        check_symmetric(adjacency)  # there may not have been time for it
+        raise RuntimeError("the search returned vertices that are not a clique: a bug")
     return members

@@ -18,6 +18,7 @@ plausibility    doubts about how information was read
 account         what was read and how, for people
 assembly        from what files hold to one graph, closures counted once
 read, write     the front doors: `read_graph`, `read_candidates`, `write_graph`
+_replaced       a folder in another's place, at once
 output          files that are written whole or not at all
 
 | format | holds | read | written | information | priors | times | labels |

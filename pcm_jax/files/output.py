@@ -12,6 +12,7 @@ from os import PathLike
 from pathlib import Path
 
 from pcm_jax.errors import FileFormatError, InputError, check_class
+from pcm_jax.files._replaced import can_be_exchanged, exchanged
 from pcm_jax.store import apart, written_whole
 
 
@@ -36,28 +37,35 @@ def check_target(path: str | PathLike[str]) -> Path:
 def folder_written_whole(folder: str | PathLike[str]) -> Iterator[Path]:
     """Hands out a folder to write files to, and gives it its name once they are all there.
 
-    A folder that is there already is handed out itself: its files are replaced one by one.
+    Where a folder of that name is there already, it is replaced by the new one at once, so that its
+    files are all old or all new; other files in it are kept. It is not where it holds folders, is
+    the current one or another user's, where links lie in it under the files' names, or where the
+    system cannot: then the finished files are put into it one after another.
 
     Raises:
         FileFormatError: where the system refuses to make or rename it.
         InputError: as what is done with it, the folder called by its own name.
     """
     target = Path(folder)
-    if target.is_dir():
-        yield target
-        return
     named, unfinished = apart(target)
+    beside = not named.is_dir() or can_be_exchanged(named)
+    place = unfinished if beside else named / unfinished.name
     try:
-        unfinished.mkdir()
-        yield unfinished
-        unfinished.rename(named)
+        place.mkdir()
+        yield place
+        ours = sorted(place.iterdir())
+        if not named.is_dir():
+            place.rename(named)
+        elif not (beside and exchanged(place, named)):
+            for one in ours:
+                write_bytes(target / one.name, one.read_bytes())
     except InputError as error:
-        error.args = (str(error).replace(str(unfinished), str(target)),)
+        error.args = (str(error).replace(str(place), str(target)),)
         raise
     except OSError as error:
         raise FileFormatError(folder, None, f"cannot be written: {error.strerror}") from None
     finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+        shutil.rmtree(place, ignore_errors=True)
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:

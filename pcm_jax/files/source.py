@@ -19,6 +19,7 @@ from pcm_jax.errors import FileFormatError
 GZIP_MAGIC, XZ_MAGIC = b"\x1f\x8b", b"\xfd7zXZ\x00"
 LIMIT = 1 << 30  # bytes after decompression: a graph of millions of edges
 CHUNK = 1 << 20
+BLANK = 16 << 20  # bytes of nothing but white space: each may be a line, which is split off
 PIPED = "-"
 HEAD = 200  # lines that tell a format
 
@@ -61,7 +62,8 @@ class Source:
 
         Raises:
             FileFormatError: for a file that is missing, unreadable, no regular file, more than
-                `limit` bytes, binary (a zero byte), or compressed and damaged or cut short.
+                `limit` bytes, binary (a zero byte), blank for 16 MiB, or compressed and damaged or
+                cut short.
         """
         try:
             with self._open() as file, _decompressed(file) as stream:
@@ -176,7 +178,7 @@ def _too_long(path: str, limit: int) -> FileFormatError:
 
 def _bounded(path: str, stream: IO[bytes], limit: int) -> bytes:
     """The stream's bytes, looked at as they come: what is binary or endless is refused early."""
-    whole, size, lines = io.BytesIO(), 0, 0
+    whole, size, lines, blank = io.BytesIO(), 0, 0, 0
     while chunk := stream.read(CHUNK):
         if b"\0" in chunk:
             line = lines + chunk.count(b"\n", 0, chunk.index(b"\0")) + 1
@@ -184,5 +186,8 @@ def _bounded(path: str, stream: IO[bytes], limit: int) -> bytes:
         size, lines = size + len(chunk), lines + chunk.count(b"\n")
         if size > limit:
             raise _too_long(path, limit)
+        blank = blank + len(chunk) if chunk.isspace() else 0
+        if blank >= BLANK:
+            raise FileFormatError(path, lines, f"{blank >> 20} MiB of white space, expected text")
         whole.write(chunk)
     return whole.getvalue()

@@ -1,5 +1,6 @@
 """Ctrl-C, closed streams, and text that a stream cannot encode."""
 
+import importlib
 import os
 import re
 import signal
@@ -57,6 +58,39 @@ def test_an_interrupt_is_one_line_and_restores_what_was_there(monkeypatch, capsy
     assert main(["formats"]) == 130
     assert capsys.readouterr().err == "interrupted\n"
     assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+
+
+def test_an_interrupt_waits_until_a_module_is_imported(tmp_path, monkeypatch, capsys):
+    (tmp_path / "imports_slowly.py").write_text(
+        "import signal\nsignal.raise_signal(signal.SIGINT)\nwhole = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    modules = []
+
+    def imports(options):
+        del options
+        modules.append(importlib.import_module("imports_slowly"))
+        while True:
+            pass
+
+    monkeypatch.setattr(formats, "run", imports)
+    assert main(["formats"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert modules[0].whole
+
+
+def test_an_interrupt_does_not_wait_for_the_module_that_calls_the_command_line(tmp_path):
+    lines = ["import signal", "from pcm_jax.cli import formats, main"]
+    lines += ["formats.run = lambda _: (signal.raise_signal(signal.SIGINT), print('went on'))"]
+    (tmp_path / "calls.py").write_text("\n".join([*lines, "status = main(['formats'])"]))
+    done = subprocess.run(
+        [sys.executable, "-c", "import calls; raise SystemExit(calls.status)"],
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr, done.stdout) == (130, "interrupted\n", "")
 
 
 def test_an_interrupted_search_says_what_it_had_found(monkeypatch, capsys):

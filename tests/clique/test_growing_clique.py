@@ -119,6 +119,15 @@ def test_a_time_limit_gives_the_best_known_and_a_bound(monkeypatch):
     np.testing.assert_array_equal(found.first(), batch.members)
 
 
+def test_a_graph_to_start_from_knows_a_clique_without_a_search():
+    for seed in range(10):
+        *_, (_, graph) = random_steps(seed, 0.7, 0.2, 45)
+        known = GrowingClique.of_graph(graph).largest(0.0).members
+        inside = graph[np.ix_(known, known)]
+        assert inside.sum() == known.sum() * (known.sum() - 1)
+        assert not graph[~known][:, known].all(axis=1).any()  # with whom another would agree
+
+
 def test_a_clique_grows_by_an_exchange(monkeypatch):
     """The new vertex disagrees with one of those in hand; another one outside takes its place."""
     monkeypatch.setattr(growing, "SEARCHED", 0)

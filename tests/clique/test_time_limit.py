@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from sample_graphs import complete_multipartite, is_clique, planted_graph, random_graph
 
-from pcm_jax.clique import maximum_clique
+from pcm_jax.clique import GrowingClique, growing, maximum_clique
 from pcm_jax.clique._adjacency import adjacency_matrix
 from pcm_jax.clique._bounds import degrees
 from pcm_jax.clique._costs import checked_squared
 from pcm_jax.clique._exact import BitGraph
+from pcm_jax.clique._heuristic import greedy_clique, greedy_heavy_clique
 from pcm_jax.clique._ties import _CheapestClique, smallest_by_total
 from pcm_jax.errors import InputError
 
@@ -23,7 +24,7 @@ MODULES = [
     importlib.import_module(f"pcm_jax.clique.{name}")
     for name in (
         *("_adjacency", "_bitset", "_bounds", "_costs", "_exact", "_heuristic", "_lanes"),
-        *("_local_search", "_ties", "_weighted", "maximum"),
+        *("_local_search", "_ties", "_weighted", "growing", "maximum"),
     )
 ]
 # Readings after the end, by stages that each find out for themselves that it is over.
@@ -86,6 +87,38 @@ def test_wherever_time_runs_out_the_answer_is_a_clique_with_a_bound_at_once(cloc
     ).all()
 
 
+@pytest.mark.parametrize("searched", [0, 400])
+def test_wherever_time_runs_out_a_clique_that_grows_knows_one_at_once(clock, monkeypatch, searched):
+    monkeypatch.setattr(growing, "SEARCHED", searched)
+    monkeypatch.setattr(growing, "ROWS", 10)
+    adjacency = random_graph(70, 0.6, 3)
+    full = maximum_clique(adjacency)
+    clock.readings.clear()
+    GrowingClique.of_graph(adjacency).largest(1e9)
+    needed = clock.readings.total()
+    assert clock.readings["growing"] >= 7  # the rows, ten by ten
+    for limit in {*range(0, needed, max(1, needed // 60)), *range(min(needed, 40))}:
+        clock.readings.clear()
+        state = GrowingClique.of_graph(adjacency)
+        cut = state.largest(limit)
+        assert clock.readings.total() <= limit + FEW, limit
+        assert is_clique(adjacency, cut.members)
+        assert cut.size <= full.size <= cut.upper_bound, limit
+        assert (state.largest(1e9).members == full.members).all(), limit
+
+
+def test_a_clique_that_grows_looks_at_the_clock_while_it_leaves_out_vertices(clock):
+    """Of a path the ends are left out, again and again."""
+    path = np.eye(400, k=1, dtype=bool) | np.eye(400, k=-1, dtype=bool)
+    state, everything = GrowingClique.of_graph(path), (1 << 400) - 1
+    assert len(state._inside(everything, 2, deadline=1e9)) == 0
+    assert clock.readings.total() >= 199
+    clock.readings.clear()
+    with pytest.raises(TimeoutError):
+        state._inside(everything, 2, deadline=50)
+    assert clock.readings.total() == 51
+
+
 @pytest.mark.parametrize("weighted", [False, True])
 def test_no_stage_forgets_the_clock_on_large_graphs(clock, weighted):
     # A dense half whose core has to be gathered from a graph of twice its size.
@@ -106,6 +139,17 @@ def test_no_stage_forgets_the_clock_on_large_graphs(clock, weighted):
     assert clock.readings["_heuristic"] >= 1
     assert clock.readings["_ties"] >= 600  # the edges, vertex by vertex
     assert clock.readings["_weighted"] >= weighted  # without weights a colouring is the proof
+
+
+def test_the_first_clique_ends_with_the_time(clock):
+    """Of many members: each takes a step over all that are left."""
+    adjacency = complete_multipartite(200, 2)
+    weights = np.arange(1.0, 401.0)
+    for greedy in (greedy_clique, lambda *given: greedy_heavy_clique(given[0], weights, given[1])):
+        clock.readings.clear()
+        found = greedy(adjacency, 50.0)
+        assert 40 <= len(found) <= 50
+        assert is_clique(adjacency, np.isin(np.arange(400), found))
 
 
 def test_time_limit_holds_for_the_choice_among_equals(clock):

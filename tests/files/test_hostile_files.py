@@ -36,6 +36,19 @@ def test_what_a_compressed_file_grows_to_is_bounded(tmp_path):
         read_graph(path, byte_limit=3 << 20)
 
 
+@pytest.mark.parametrize("blank", [b"\n", b" "])
+def test_what_is_blank_without_end_is_refused(blank, tmp_path):
+    """Each blank line would be one to look at, and eight bytes to keep."""
+    path = tmp_path / "blank.g2o.gz"
+    with gzip.open(path, "wb", 1) as file:
+        file.write(b"VERTEX_SE2 0 0 0 0\n" + blank * (3 << 20))
+    assert read_graph(path).maps[0].num_poses == 1
+    with gzip.open(path, "wb", 1) as file:
+        file.write(b"VERTEX_SE2 0 0 0 0\n" + blank * (18 << 20))
+    with pytest.raises(FileFormatError, match=r"blank.g2o.gz:\d+: 16 MiB of white space, expected"):
+        read_graph(path)
+
+
 def test_a_first_word_a_line_is_no_pose_graph(tmp_path):
     """Each would be a kind of line of its own."""
     path = tmp_path / "words.g2o"

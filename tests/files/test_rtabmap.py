@@ -174,3 +174,17 @@ def test_a_schema_that_is_no_text(base):
     base.write_bytes(data.replace(b"CREATE TABLE Link", b"CREATE TABL\xf4 Link"))
     with pytest.raises(FileFormatError, match=r"two\.db: damaged database"):
         read_graph(base)
+
+
+def test_a_row_that_says_it_is_longer_than_any_memory(tmp_path):
+    path = tmp_path / "long.db"
+    with sqlite3.connect(path) as made:
+        made.execute("PRAGMA page_size=512")
+        make_tables(made)
+    made.close()
+    data = bytearray(path.read_bytes())
+    first = int.from_bytes(data[108:110], "big")  # cell of the schema, which begins with its length
+    data[first : first + 9] = b"\xff" * 9
+    path.write_bytes(data)
+    with pytest.raises(FileFormatError, match=r"long\.db: damaged database: a row is too long"):
+        read_graph(path)

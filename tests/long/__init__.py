@@ -8,8 +8,11 @@ _executed   which lines each test file executes, noted by a plugin of pytest
 _sites      the small changes that can be made to a module's text
 mutants     those changes made one at a time: the tests of the folder must notice
 fuzz        every reader on files changed in a few places
+guided      the same readers and verdict, guided by coverage
 faults      the command line killed, without space, without rights
 load        thousands of merges in one process
+determinism the command line's files byte by byte, in processes set up differently
+limits      time limits of cliques on graphs up to 20,000 vertices
 differential  random cases against GTSAM, networkx and SciPy
 
 Run them from the top of a checkout, `python -m tests.long.NAME --help`; pytest does not collect

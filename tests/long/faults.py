@@ -32,6 +32,7 @@ from ._seeds import write_team
 
 OLD = b"what was here before\n"
 FOLDER = "folder"  # the name of outputs that are folders
+THEIRS = "theirs.txt"  # a file of others in it
 COMMANDS = {
     "merge, all its files": (
         "merge TEAM --minimum-inliers 2 --output OUT/m.g2o --report OUT/r.json --html OUT/r.html"
@@ -60,7 +61,7 @@ class Writer:
     place: Path
     seconds: float = 0.0
     writing: float = 0.0  # seconds after the start at which the first file appears
-    whole: dict[str, object] = field(default_factory=dict)
+    whole: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.place.mkdir()
@@ -95,26 +96,45 @@ class Writer:
         settings = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, **options}
         return subprocess.Popen(command, env=environment, cwd=self.place, **settings)
 
-    def found(self) -> dict[str, object]:
+    def found(self) -> dict[str, Any]:
         """What is there by name: files as far as they do not tell of their run, folders' files."""
         return {path.name: told(path) for path in self.out.iterdir()}
 
     def reset(self, old: bool) -> None:
-        """Empties the folder, and puts old files there; folders are absent."""
+        """Empties the folder, and puts old files there, in folders one of others too."""
         subprocess.run(["rm", "-rf", str(self.out)], check=True)
         self.out.mkdir()
         for name in NAMES[self.name] if old else ():
-            if name != FOLDER:
-                (self.out / name).write_bytes(OLD)
+            if name == FOLDER:
+                (self.out / name).mkdir()
+            for path in self.files(name):
+                path.write_bytes(OLD)
+
+    def files(self, name: str) -> list[Path]:
+        """The old files at an output's name."""
+        if name != FOLDER:
+            return [self.out / name]
+        return [self.out / name / one for one in (*self.whole[FOLDER], THEIRS)]
+
+    def is_before(self, name: str, value: object) -> bool:
+        """True if what is there is what was there."""
+        if name == FOLDER:
+            return value == dict.fromkeys([*self.whole[FOLDER], THEIRS], OLD)
+        return value == OLD
+
+    def is_new(self, name: str, value: object, old: bool) -> bool:
+        """True if what is there is the whole of the new, in a folder beside files of others."""
+        whole = self.whole.get(name)
+        return value == (whole | {THEIRS: OLD} if old and name == FOLDER else whole)
 
     def faults(self, old: bool) -> list[str]:
         """What is neither as before nor whole."""
         found, wrong = self.found(), []
         for name, value in found.items():
-            before = old and name != FOLDER and value == OLD
-            if not name.startswith(".") and not before and value != self.whole.get(name):
+            before = old and self.is_before(name, value)
+            if not name.startswith(".") and not before and not self.is_new(name, value, old):
                 wrong.append(f"{name} is neither the old one nor the whole new one")
-        lost = [name for name in NAMES[self.name] if name not in found and name != FOLDER]
+        lost = [name for name in NAMES[self.name] if name not in found]
         return wrong + [f"{name} is lost" for name in lost if old]
 
 
@@ -159,7 +179,7 @@ def kill(writer: Writer, moments: int, rng: random.Random) -> tuple[Counter[str]
         faults = writer.faults(old)
         wrong += [f"{writer.name}, after {after:.3f} s: {fault}" for fault in faults]
         found = writer.found()
-        new = [name for name in NAMES[writer.name] if found.get(name) == writer.whole[name]]
+        new = [n for n in NAMES[writer.name] if n in found and writer.is_new(n, found[n], old)]
         left["all new" if len(new) == len(writer.whole) else "some new" if new else "none"] += 1
         left["with an unfinished one"] += any(name.startswith(".") for name in found)
     writer.reset(False)
@@ -192,16 +212,16 @@ def read_only(writer: Writer) -> tuple[int, list[str]]:
     wrong = []
     for old in (False, True):
         writer.reset(old)
-        for path in writer.out.iterdir():
-            path.chmod(0o444)
-        writer.out.chmod(0o555)
+        for path in (*writer.out.rglob("*"), writer.out):
+            path.chmod(0o555 if path.is_dir() else 0o444)
         process = writer.start(*rights, stderr=subprocess.PIPE, text=True)
         _, errors = process.communicate()
         case = f"{writer.name}, in a folder that must not be written to"
         wrong += [f"{case}: {fault}" for fault in writer.faults(old)]
         wrong += _said(case, process.returncode, errors)
         wrong += [f"{case}: exit 0"] if process.returncode == 0 else []
-        writer.out.chmod(0o755)
+        for path in (writer.out, *filter(Path.is_dir, writer.out.iterdir())):
+            path.chmod(0o755)
     return 2, wrong
 
 

@@ -209,6 +209,20 @@ def fault(read: Callable[[], Any], path: Path) -> tuple[str | None, Any]:
     return (f"{seconds:.1f} s" if seconds > SECONDS else None), result
 
 
+def verdict(
+    readers: Readers, seed: Seed, path: Path, data: bytes, options: dict[str, Any]
+) -> tuple[str | None, bool, bool]:
+    """What is wrong with how an input is taken; and whether it is accepted, and was compared."""
+    path.write_bytes(data)
+    signal.alarm(HUNG)
+    wrong, result = fault(lambda: readers(seed, path, options), path)
+    signal.alarm(0)
+    plain = False
+    if wrong is None and result is not None and seed.name.endswith(".g2o") and not options:
+        plain, wrong = difference(result, data)
+    return wrong, result is not None, plain
+
+
 def difference(graph: Any, data: bytes) -> tuple[bool, str | None]:
     """Whether a g2o file is plain, and how what was read of it differs from the strict reader's."""
     try:
@@ -263,7 +277,8 @@ class HungError(Exception):
     """A reader that took longer than any reader may."""
 
 
-def _hung(*_: object) -> None:
+def hung(*_: object) -> None:
+    """Ends a reader by an exception, when its alarm comes."""
     raise HungError(f"more than {HUNG} s")
 
 
@@ -272,7 +287,7 @@ def run(numbers: range, seed: int, deadline: float, keep: Path | None = None) ->
     told: Counter[str] = Counter()
     by_format: Counter[str] = Counter()
     found: dict[str, list[int]] = {}
-    signal.signal(signal.SIGALRM, _hung)
+    signal.signal(signal.SIGALRM, hung)
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="fuzz-") as place, warnings.catch_warnings():
         folder = Path(place)
@@ -291,18 +306,10 @@ def run(numbers: range, seed: int, deadline: float, keep: Path | None = None) ->
             (one,) = rng.choices(seeds, weights)
             data = mutated(one, seeds, rng)
             options = rng.choice(OPTIONS) if rng.random() < 0.3 else {}
-            path = folder / one.name
-            path.write_bytes(data)
             if keep:
                 (keep / one.name).write_bytes(data)
-            signal.alarm(HUNG)
-            wrong, result = fault(lambda: readers(one, path, options), path)  # noqa: B023
-            signal.alarm(0)
-            if wrong is None and result is not None and one.name.endswith(".g2o") and not options:
-                plain, wrong = difference(result, data)
-                told["compared"] += plain
-            told["tried"] += 1
-            told["accepted"] += result is not None
+            wrong, accepted, plain = verdict(readers, one, folder / one.name, data, options)
+            told.update(tried=1, accepted=accepted, compared=plain)
             by_format[one.name] += 1
             if wrong is not None:
                 kind = f"{one.name}: {wrong}".replace(str(folder), "")

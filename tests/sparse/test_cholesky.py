@@ -14,7 +14,13 @@ from pcm_jax.sparse.cholesky import (
     factorize,
     inverse_triangles,
 )
-from pcm_jax.sparse.inverse import inverse_block, inverse_columns, inverse_diagonal
+from pcm_jax.sparse.inverse import (
+    inverse_block,
+    inverse_column,
+    inverse_columns,
+    inverse_diagonal,
+    inverse_own,
+)
 
 
 @pytest.fixture
@@ -120,6 +126,20 @@ def test_columns_and_diagonal_are_those_of_the_dense_inverse(pattern, d, monkeyp
     np.testing.assert_allclose(columns, products, atol=1e-12)
     diagonal = inverse_diagonal(factor, wanted)
     np.testing.assert_allclose(diagonal, expected[wanted, :, wanted], atol=1e-13)
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+def test_one_column_and_its_own_block_are_those_of_the_dense_inverse(pattern, d, rng):
+    size, tail, head = pattern
+    plan, blocks, dense = random_system(rng, size, tail, head, d)
+    factor = factorize(plan, blocks)
+    expected = np.linalg.inv(dense).reshape(size, d, size, d)
+    for pose in {0, size // 2, size - 1}:
+        right = rng.normal(size=(d, d))
+        column = inverse_column(factor, pose, right)[plan.position]
+        np.testing.assert_allclose(column, expected[:, :, pose] @ right, atol=1e-12)
+        own = inverse_own(factor, pose, right)
+        np.testing.assert_allclose(own, right.T @ expected[pose, :, pose] @ right, atol=1e-12)
 
 
 @pytest.mark.parametrize("d", [3, 6])

@@ -53,6 +53,9 @@ def read_rtabmap(source: Source, reading: Reading) -> PoseFile:
             links, how = _links(base, source, reading)
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter: of sqlite's own messages
         raise FileFormatError(source.path, None, f"damaged database: {error}") from None
+    except MemoryError:  # what SQLite says of a row that states such a length
+        problem = "damaged database: a row is too long for memory"
+        raise FileFormatError(source.path, None, problem) from None
     known = {row[0] for row in nodes}
     links = [row for row in links if row[0] in known and (row[1] in known or row[2] in KINDS)]
     lost = [row for row in links if _is_empty(row[4])]
