@@ -12,6 +12,7 @@ guided      the same readers and verdict, guided by coverage
 faults      the command line killed, without space, without rights
 load        thousands of merges in one process
 determinism the command line's files byte by byte, in processes set up differently
+sequences   closures and poses that come and go, against the batch
 limits      time limits of cliques on graphs up to 20,000 vertices
 differential  random cases against GTSAM, networkx and SciPy
 

@@ -60,6 +60,8 @@ class Steps(RuleBasedStateMachine):
         self.held, self.waits = [], []
         empty = MultiRobotGraph(tuple(self.maps))
         self.online = IncrementalPcm(empty, **options)
+        if data.draw(st.booleans(), "all closures"):
+            self.take_in(range(len(self.pool())), [False] * len(self.pool()))
         self.add_some(data)
 
     def pool(self) -> LoopClosures:
@@ -80,6 +82,9 @@ class Steps(RuleBasedStateMachine):
         count = len(self.pool())
         some = data.draw(st.lists(st.integers(0, count - 1), min_size=1, max_size=12), "closures")
         flips = data.draw(st.lists(st.booleans(), min_size=len(some), max_size=len(some)), "turned")
+        self.take_in(some, flips)
+
+    def take_in(self, some, flips):
         parts = [
             turned(self.pool()[[k]]) if flip else self.pool()[[k]]
             for k, flip in zip(some, flips, strict=True)
