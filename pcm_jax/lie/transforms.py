@@ -55,6 +55,8 @@ def _jit_unless_numpy(function: F) -> F:
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
+        if not kwargs and all(map(_is_plain, args)):  # flattening takes longer than small products
+            return function(*args)
         leaves = jax.tree.leaves((args, kwargs))
         if all(isinstance(leaf, np.ndarray | type) for leaf in leaves):
             return function(*args, **kwargs)
@@ -62,6 +64,14 @@ def _jit_unless_numpy(function: F) -> F:
             return jitted(*args, **kwargs)
 
     return wrapper  # type: ignore[return-value]
+
+
+def _is_plain(given: Any) -> bool:
+    """True for a NumPy array, a transform that is stored in one, or a group."""
+    if isinstance(given, np.ndarray | type):
+        return True
+    field = _FIELDS.get(type(given))
+    return field is not None and isinstance(getattr(given, field), np.ndarray)
 
 
 def module_of(group: Group[Any]) -> ModuleType:
@@ -100,8 +110,7 @@ def components(transform: jaxlie.MatrixLieGroup) -> tuple[Any, ...]:
 
 def from_components(group: Group[Transform], values: Sequence[Any]) -> Transform:
     """A transform from one array per parameter; the arrays broadcast against each other."""
-    xp = namespace(*values)
-    return group(xp.stack(xp.broadcast_arrays(*values), axis=-1))  # type: ignore[call-arg]
+    return group(_stack(values))  # type: ignore[call-arg]
 
 
 def _split(tangent: Any) -> tuple[Any, ...]:
@@ -109,8 +118,15 @@ def _split(tangent: Any) -> tuple[Any, ...]:
 
 
 def _stack(values: Sequence[Any]) -> Any:
+    first = values[0]
+    if all(type(each) is np.ndarray and _alike(each, first) for each in values):
+        return np.stack(values, axis=-1)
     xp = namespace(*values)
     return xp.stack(xp.broadcast_arrays(*values), axis=-1)
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    return one.shape == other.shape and one.dtype == other.dtype
 
 
 @_jit_unless_numpy

@@ -1,5 +1,6 @@
 """The same four steps, one closure or one pose at a time: the answer of the batch at every step.
 
+_room          arrays that grow at their end without a copy each time
 _maps          maps that grow: new poses and edges, checked and joined to those before
 _arrivals      closures that come: which state an earlier one again, which wait for their poses
 _steady        answers that do not flicker, and the log of what entered and left them

@@ -16,6 +16,7 @@ from pcm_jax.graph import PoseGraph, checked
 from pcm_jax.graph.spanning_tree import check_connected
 from pcm_jax.graph.validation import argument_fault, as_indices, check_self_loops, raise_first
 from pcm_jax.mapping import MapCovariance
+from pcm_jax.online._room import Room
 from pcm_jax.pipeline.weigh import optimized_maps
 
 
@@ -128,34 +129,35 @@ def checked_part(
     return part
 
 
-def with_new(poses: Any, part: NewPart, new: Any = None) -> Any:
-    """A map's poses, and behind them the new ones: those given, or None: where edges put them."""
-    old = lie.as_numpy(poses)
-    return lie.concatenate([old, _placed(old, part) if new is None else new])
+def joined(pose_graph: PoseGraph, part: NewPart, room: Room) -> PoseGraph:
+    """The map with a new part.
 
-
-def joined(pose_graph: PoseGraph, part: NewPart) -> PoseGraph:
-    """The map with a new part."""
-    tail, head = (np.concatenate(ends) for ends in _ends(pose_graph, part))
+    Args:
+        pose_graph: the map.
+        part: new poses, where they are given or edges put them, and edges.
+        room: for its arrays to grow in.
+    """
     stamps = pose_graph.stamps
     if stamps is not None or np.isfinite(part.stamps).any():
         before = np.full(pose_graph.num_poses, np.nan) if stamps is None else stamps
-        stamps = np.concatenate([before, part.stamps])
+        stamps = room.behind("stamps", before, part.stamps)
+    poses = _placed(lie.as_numpy(pose_graph.poses), part) if part.poses is None else part.poses
+    measured = room.transforms_behind("measurement", pose_graph.measurement, part.measurement)
     return dataclasses.replace(
         pose_graph,
-        poses=with_new(pose_graph.poses, part, part.poses),
-        tail=tail,
-        head=head,
-        measurement=lie.concatenate([lie.as_numpy(pose_graph.measurement), part.measurement]),
-        information=np.concatenate([np.asarray(pose_graph.information), part.information]),
-        ids=np.concatenate([pose_graph.ids, part.ids]),
-        source=np.concatenate([pose_graph.source, np.full(len(part.tail), "", object)]),
+        poses=room.transforms_behind("poses", pose_graph.poses, poses),
+        tail=room.behind("tail", pose_graph.tail, part.tail),
+        head=room.behind("head", pose_graph.head, part.head),
+        measurement=measured,
+        information=room.behind("information", pose_graph.information, part.information),
+        ids=room.behind("ids", pose_graph.ids, part.ids),
+        source=room.behind("source", pose_graph.source, np.full(len(part.tail), "", object)),
         stamps=stamps,
     )
 
 
 def grown_by(
-    given: PoseGraph, covariance: MapCovariance, new: NewPart, *, settled: bool
+    given: PoseGraph, covariance: MapCovariance, new: NewPart, room: Room, *, settled: bool
 ) -> tuple[PoseGraph, MapCovariance, bool]:
     """Joins a new part to a map and to its optimum.
 
@@ -163,6 +165,7 @@ def grown_by(
         given: the map.
         covariance: of its optimum.
         new: the part.
+        room: for the map's arrays to grow in.
         settled: whether maps are given at their optimum.
 
     Returns:
@@ -171,8 +174,8 @@ def grown_by(
     Warns:
         ConvergenceWarning: where optimising the map stops before it converges.
     """
-    grown = joined(given, new)
-    placed = grown.with_poses(with_new(covariance.pose_graph.poses, new))
+    grown, old = joined(given, new, room), lie.as_numpy(covariance.pose_graph.poses)
+    placed = grown.with_poses(room.transforms_behind("placed", old, _placed(old, new)))
     odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
     if odometry:
         return grown, covariance.extend(placed), True

@@ -131,15 +131,13 @@ class State:
             ):
                 pairs[robots] = pair.copy()
                 pairs[robots].grow(both)
+        maps_now = dataclasses.replace(self.maps, maps=maps, truth=None)
+        moved = dataclasses.replace(self, maps=maps_now, covariances=covariances, pairs=pairs)
+        if not len(self.waiting):
+            return moved
         there = has_poses(maps, self.waiting)
-        moved = dataclasses.replace(
-            self,
-            maps=dataclasses.replace(self.maps, maps=maps, truth=None),
-            covariances=covariances,
-            waiting=self.waiting[~there],
-            pairs=pairs,
-        )
         enters = self.waiting[there]
+        moved = dataclasses.replace(moved, waiting=self.waiting[~there])
         return moved.with_closures(enters, enters[:0], 0) if len(enters) else moved
 
     def current(self) -> State:

@@ -9,14 +9,14 @@ same rule, with the same certificate. What a step costs is what it changes:
     a loop in a map     that map's optimum; when next asked, the pairs whose distance has moved
     the answer          chance, places and rivals of the pairs of robots that changed since
 
-Whatever is refused leaves everything as it was: a step is worked out first, and then taken.
+What is refused leaves all as it was: a step is worked out first, and then taken.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -41,6 +41,7 @@ from pcm_jax.online._arrivals import (
 )
 from pcm_jax.online._maps import check_name, checked_part, grown_by, robot_index
 from pcm_jax.online._merged import merged_by
+from pcm_jax.online._room import Room
 from pcm_jax.online._saved import arrays_of, options_to_save, read, state_of, write
 from pcm_jax.online._state import State
 from pcm_jax.online._steady import MOST_LOGGED, Change
@@ -50,7 +51,7 @@ from pcm_jax.selection import Selection
 
 MOST_WAITING = 10_000
 """Closures that may wait for poses."""
-FORM = "IncrementalPcm"
+FORM, SAVED = "IncrementalPcm", ("options", "step", "metric")
 
 
 class IncrementalPcm:
@@ -109,6 +110,7 @@ class IncrementalPcm:
         state = State.of_maps(maps, started.evidence.covariances, weighing)
         self._state = dataclasses.replace(state, tolerance=float(tolerance))
         self._identities: Identities | None = None
+        self._rooms = defaultdict[int, Room](Room)
         self._graph: MultiRobotGraph | None = None
         self._merged: MergeResult | None = None
         self._selection: Selection | None = None
@@ -226,8 +228,8 @@ class IncrementalPcm:
         index = robot_index(robot, self._state.maps.names)
         given, covariance = self._state.maps.maps[index], self._state.covariances[index]
         new = checked_part(given, poses, **part)
-        settled = self._options.get("optimized", False)
-        grown, covariance, odometry = grown_by(given, covariance, new, settled=settled)
+        settled, room = self._options.get("optimized", False), self._rooms[index]
+        grown, covariance, odometry = grown_by(given, covariance, new, room, settled=settled)
         maps, covariances = list(self._state.maps.maps), list(self._state.covariances)
         maps[index], covariances[index] = grown, covariance
         return self._move(tuple(maps), tuple(covariances), index if odometry else None)
@@ -372,13 +374,13 @@ class IncrementalPcm:
         """
         meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
-        online._options, online._step = meta["options"], meta["step"]
+        online._options, online._step, online._metric = (meta[name] for name in SAVED)
         online._most_waiting, online._hysteresis, tolerance = meta["rule"]
         online._log = deque((Change(*each) for each in meta["log"]), maxlen=MOST_LOGGED)
         method, confidence, gate = meta["names"]
-        online._names, online._metric = (method, confidence, gate), meta["metric"]
-        online._seconds = meta["seconds"]
+        online._names, online._seconds = (method, confidence, gate), meta["seconds"]
         online._identities = online._graph = online._selection = online._merged = None
+        online._rooms = defaultdict(Room)
         state = state_of(arrays, meta, (gate, memory_limit(meta["options"]), None))
         online._state = dataclasses.replace(state, tolerance=tolerance)
         return online

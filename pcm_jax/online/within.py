@@ -42,6 +42,7 @@ from pcm_jax.online._arrivals import (
 )
 from pcm_jax.online._held_within import HeldTrials, HeldWithin, agreeing
 from pcm_jax.online._maps import checked_part, joined
+from pcm_jax.online._room import Room
 from pcm_jax.online._saved import (
     closure_arrays,
     closures_of,
@@ -111,7 +112,7 @@ class IncrementalWithin:
         none = LoopClosures.empty(pose_graph.group)
         self._odometry = pose_graph.with_edges(odometry_edges(pose_graph))
         self._arrived, self._waiting, self._repeated = Arrived(none), none, 0
-        self._held = self._nothing_held()
+        self._held, self._room = self._nothing_held(), Room()
         self._identities: Identities | None = None
         self._graph: PoseGraph | None = None
         self._selection: WithinSelection | None = None
@@ -238,7 +239,7 @@ class IncrementalWithin:
                 "tail, head: expected one edge from the last pose to the first new one and so on,"
                 " in order; closures come by add"
             )
-        odometry, held = joined(self._odometry, new), self._held.extended(new)
+        odometry, held = joined(self._odometry, new, self._room), self._held.extended(new)
         there = _has_poses(self._waiting, odometry.num_poses)
         enters, before = self._waiting[there], len(self)
         held = held.with_closures(enters) if len(enters) else held
@@ -335,9 +336,8 @@ class IncrementalWithin:
             return
         graph, agree = self.graph, agreeing(found.squared, found.gate)
         why = found.verdict.why
-        for row, event, reason in changes(
-            self._believed, found.accepted, agree, why, found.dropped
-        ):
+        seen = self._believed, found.accepted, agree, why, found.dropped
+        for row, event, reason in changes(*seen):
             edge = found.closures[row]
             a, b = (graph.pose_name(int(at[edge])) for at in (graph.tail, graph.head))
             yield Change(self._step, row, a, b, event, reason)
