@@ -51,6 +51,7 @@ from pcm_jax.arrays import as_real, host_device
 from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import LoopClosures, MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.least_squares import SOLVERS, padded_size
+from pcm_jax.mapping.priors import priors_of
 from pcm_jax.merging.alignment import MOST_COMPARED, medoid_costs
 
 
@@ -117,9 +118,9 @@ def merge_differentiable(
     if solver not in SOLVERS:
         raise InputError(f"solver: {solver!r} given, expected one of {', '.join(SOLVERS)}")
     for own in graph.maps:
-        if own.priors is not None:
+        if (priors := priors_of(own)) is not None:
             raise InputError(
-                f"priors: map {own.name!r} has {len(own.priors)}, which merge_differentiable does"
+                f"priors: map {own.name!r} has {len(priors)}, which merge_differentiable does"
                 " not take; expected none (PoseGraph.without_priors)"
             )
     count = len(graph.closures)

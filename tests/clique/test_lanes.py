@@ -81,6 +81,27 @@ def test_members_are_those_of_the_search_one_by_one(monkeypatch, runs, constants
     assert set(runs) >= ({1} if constants.get("MOST_WORDS") == 1 else {1, 2})
 
 
+@pytest.mark.parametrize(("density", "seed"), [(0.5, 0), (0.5, 1), (0.6, 2)])
+def test_lanes_at_work_find_what_has_moved_to_make_room(monkeypatch, density, seed):
+    moved, forget = [], lanes.Lanes._forget
+
+    def counted(self):
+        moved.append(self._busy.any())
+        forget(self)
+
+    monkeypatch.setattr(lanes.Lanes, "_forget", counted)
+    adjacency = random_graph(100, density, seed)
+    set_up(monkeypatch, **ONE_BY_ONE)
+    expected = maximum_clique(adjacency)
+    assert not moved
+    set_up(monkeypatch, **ON_LANES[1] | {"_BYTES": 20_000})
+    clique = maximum_clique(adjacency)
+    assert any(moved)
+    assert clique.members.tolist() == expected.members.tolist()
+    theirs = nx.max_weight_clique(nx.from_numpy_array(adjacency), weight=NODES_ONLY)
+    assert clique.optimal and clique.size == theirs[1]
+
+
 def test_a_hard_graph_is_left_to_lanes_and_an_easy_one_is_not(runs):
     adjacency = random_graph(150, 0.7, 5)
     assert maximum_clique(adjacency).optimal

@@ -167,6 +167,7 @@ def test_no_vertices_no_edges_and_one_edge():
     assert (empty.size, empty.upper_bound, empty.optimal) == (0, 0, True)
     assert empty.members.shape == (0,)
     assert maximum_clique(nx.Graph()).size == 0
+    assert maximum_clique([[]]).members.shape == (0,)
     assert members(maximum_clique(np.zeros((4, 4), bool))) == (0,)
     assert members(maximum_clique(np.zeros((4, 4), bool), method="heuristic")) == (0,)
     assert members(maximum_clique(nx.Graph([(2, 1), (0, 3)]))) == (0, 3)

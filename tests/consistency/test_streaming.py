@@ -135,6 +135,13 @@ def test_too_few_to_disagree(plane, count):
     assert progress == [(0, 0)] * count
 
 
+def test_a_gate_of_nothing_lets_nothing_pass(plane):
+    world = (*plane[:2], plane[2][np.arange(3)])
+    assert not stream_consistency_graph(*world, 0.0).dense().any()
+    with pytest.raises(InputError, match="gate: -1e-300; expected one squared distance"):
+        stream_consistency_graph(*world, -1e-300)
+
+
 def test_packed_graph():
     dense = np.triu(np.random.default_rng(1).random((19, 19)) < 0.5, 1)
     dense |= dense.T

@@ -14,7 +14,7 @@ from scipy.linalg import null_space
 import pcm_jax as pcm
 from pcm_jax import lie
 from pcm_jax.consistency import joint_consistency, squared_rows
-from pcm_jax.consistency.limit import comparable, gates
+from pcm_jax.consistency.limit import comparable, gates, limit
 from pcm_jax.consistency.mahalanobis import freedom_of, limits_of
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files.formats.jrl import write_jrl
@@ -101,6 +101,13 @@ def test_a_closure_that_says_all_is_judged_by_what_the_other_says():
     np.testing.assert_allclose(squared[6, 1], expected, rtol=1e-9)
     whole = problem_of(jaxlie.SE3, (0, 1, 2, 3, 4, 5))
     np.testing.assert_allclose(squared[6, 7], np.asarray(pcm.squared_mahalanobis(whole))[6, 7])
+
+
+def test_the_limit_of_one_number():
+    """r² / M, or nothing of no degree, by hand."""
+    symmetric, error = ((np.array([4.0]),),), (np.array([6.0]),)
+    assert limit(symmetric, error, ()) == ([9.0], [1.0])
+    assert limit(symmetric, error, [(np.array([2.0]),)]) == ([0.0], [0.0])
 
 
 @pytest.mark.slow

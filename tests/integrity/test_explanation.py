@@ -81,6 +81,23 @@ def test_portions_do_not_change_the_loops(group, monkeypatch):
         np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
+@pytest.mark.parametrize(("partners", "pairs"), [(2, 40), (3, 10**6), (10**6, 25)])
+def test_portions_are_of_few_partners_and_few_pairs(monkeypatch, partners, pairs):
+    """All pairs once; one more partner would be too many, or have too many pairs."""
+    pair, *_ = loops_of("SE2")
+    monkeypatch.setattr("pcm_jax.integrity._loops.PARTNERS", partners)
+    monkeypatch.setattr("pcm_jax.integrity._loops.PAIRS", pairs)
+    of = np.random.default_rng(0).integers(0, 11, 150)
+    portions = Loops(pair.covariances, pair.measured)._portions(of)
+    assert sorted(np.concatenate(portions).tolist()) == list(range(150))
+    sizes, each = [len(some) for some in portions], [np.unique(of[some]) for some in portions]
+    assert np.concatenate(each).tolist() == list(range(11))
+    for size, held, following in zip(sizes, each, [*each[1:], []], strict=True):
+        assert size <= pairs and len(held) <= partners
+        more = size + np.count_nonzero(of == following[0]) if len(following) else np.inf
+        assert more > pairs or len(held) == partners
+
+
 def derivative(function, size, h=1e-3):
     """Of a function of `[k, size]` errors at zero, by differences of fourth order."""
     moves = h * np.eye(size)
@@ -258,6 +275,8 @@ def test_an_index_that_is_not_there():
         result.explain(-1)
     with pytest.raises(InputError, match=r"index: 1\.5, expected an integer"):
         result.explain(1.5)
+    with pytest.raises(InputError, match=r"index: \[\[0, 1\]\], expected an integer"):
+        explain(result, [[0, 1]])
 
 
 def straight(name, count=30):

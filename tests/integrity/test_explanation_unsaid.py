@@ -7,6 +7,8 @@ import pytest
 from planar_worlds import planar_world
 
 from pcm_jax import MultiRobotGraph, merge
+from pcm_jax.integrity._loops import Loops
+from pcm_jax.pipeline import weigh
 from pcm_jax.simulation import simulate_sessions
 
 SAID = np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
@@ -17,11 +19,26 @@ def planar_and_in_space():
     return tuple(merge(graph) for graph in planar_world(3, closures=14, false=(2, 5, 9)))
 
 
-def test_closures_that_leave_directions_unsaid_are_explained():
+@pytest.fixture(scope="module")
+def partly_said():
+    """Closures between maps in space that say a position in the plane and a heading."""
     world = simulate_sessions(seed=1, poses=60, inliers=10, aliased_groups=0, random=15)
     closures = world.graph.closures
     planar = dataclasses.replace(closures, information=SAID @ closures.information @ SAID)
-    result = merge(MultiRobotGraph(world.graph.maps, planar))
+    return MultiRobotGraph(world.graph.maps, planar)
+
+
+def test_loops_of_chosen_pairs_are_those_of_q(partly_said):
+    (pair,) = weigh(partly_said).pairs
+    larger = np.maximum(pair.comparable, pair.comparable.T)
+    loops, every = Loops(pair.covariances, pair.measured), np.arange(len(pair))
+    np.testing.assert_allclose(loops.squared(every, every), larger, rtol=1e-7)
+    u, v = np.nonzero(~np.eye(len(pair), dtype=bool))
+    np.testing.assert_allclose(loops.misses(u, v).squared, larger[u, v], rtol=1e-7)
+
+
+def test_closures_that_leave_directions_unsaid_are_explained(partly_said):
+    result = merge(partly_said)
     assert result.accepted.sum() >= 8
     rows = result.report()["closures"]
     assert all(row["why"].startswith("Closure") for row in rows)

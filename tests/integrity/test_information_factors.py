@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
 from pcm_jax.integrity.calibration import Factor, _how, closing_edges, scaled_graph
 from pcm_jax.integrity.variance_components import (
+    SAMPLES,
     Part,
     _Cut,
+    _Score,
     scaled_information,
     variance_components,
 )
@@ -102,6 +105,28 @@ def test_a_cut_leaves_the_mean_and_the_variance_of_what_passes():
     np.testing.assert_allclose(cut.var(axis=0), left.var(axis=0), rtol=0.02)
     wide = _Cut.at(np.array([np.inf]), 3).of(halves)
     np.testing.assert_allclose(wide, halves, atol=1e-12)
+
+
+def test_tails_are_the_edges_own_variance_over_the_simulated_one():
+    """Of two maps together; what spreads less than simulated errors has no tails."""
+    rng, found, closing = np.random.default_rng(2), [], np.array([False, True, False, True, True])
+    off = np.array([[3.0, 0.5], [1.5, 4.0]])  # standard deviations: by map, of its two kinds
+    own, simulated = np.zeros(4), np.zeros(4)
+    for kinds in off:
+        draws = rng.normal(size=(SAMPLES, 5, 2)) * rng.uniform(1.0, 2.0, (5, 2)) + 4.0
+        mean, deviation = draws.mean(axis=0), draws.std(axis=0)
+        real = mean + kinds[closing.astype(int)][:, None] * deviation
+        part = SimpleNamespace(closing=closing)
+        found.append(SimpleNamespace(part=part, real=real, simulated=draws))
+        variance = [(deviation[closing == kind] ** 2).sum(axis=0) for kind in (False, True)]
+        simulated += np.concatenate(variance)
+        own += np.repeat(kinds**2, 2) * np.concatenate(variance)
+    score = _Score.of(found, [None, None])
+    assert own[0] > 2.0 * simulated[0]
+    np.testing.assert_allclose(score.tails, own / simulated)
+    for each in found:
+        each.real = each.simulated.mean(axis=0) + 0.5 * each.simulated.std(axis=0)
+    np.testing.assert_array_equal(_Score.of(found, [None, None]).tails, 1.0)
 
 
 @pytest.mark.slow

@@ -178,6 +178,14 @@ def test_normalize(group):
     assert_same(lie.normalize(stretched), transform)
 
 
+@groups
+def test_sizes_are_those_of_the_group(group):
+    module = lie.module_of(group)
+    assert group.parameters_dim == module.PARAMETERS_DIM
+    assert group.tangent_dim == module.TANGENT_DIM
+    assert group.matrix_dim == module.MATRIX_DIM
+
+
 def test_unsupported_groups_are_refused():
     with pytest.raises(InputError, match="group: 'SO3' is not supported"):
         lie.tangent_dim(jaxlie.SO3)
@@ -193,3 +201,5 @@ def test_real_line_serves_as_a_jaxlie_group():
     np.testing.assert_array_equal(a.apply(jnp.array([1.0])), [2.5])
     np.testing.assert_array_equal(jaxlie.manifold.rplus(a, jnp.array([0.5])).x, [2.0])
     assert lie.R1.sample_uniform(jax.random.key(0), (3,)).get_batch_axes() == (3,)
+    drawn = lie.R1.sample_uniform(jax.random.key(0), (1000,)).x
+    assert -1.0 <= drawn.min() < -0.98 and 0.98 < drawn.max() <= 1.0

@@ -84,6 +84,11 @@ def test_a_dot_product_is_its_sums_and_products():
         np.testing.assert_array_equal(found, expected)
 
 
+def test_vectors_of_different_lengths_have_no_dot_product():
+    with pytest.raises(ValueError, match="shorter"):
+        unrolled.dot((1.0, 2.0, 3.0), (1.0, 2.0))
+
+
 @pytest.mark.parametrize("size", SIZES)
 def test_packing(size):
     _, s, _ = random_matrices(size)

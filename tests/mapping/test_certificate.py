@@ -131,6 +131,53 @@ def test_a_simulated_map_is_certified(solution):
     assert "certified" in repr(found)
 
 
+def fitting(graph, precision=1.0):
+    """The map with edges that its poses fit exactly, translations of a given precision."""
+    d = graph.tangent_dim
+    weight = np.where(np.arange(d) < (2 if d == 3 else 3), precision, 1.0)
+    poses = lie.as_numpy(graph.poses)
+    return dataclasses.replace(
+        graph,
+        measurement=lie.between(lie.take(poses, graph.tail), lie.take(poses, graph.head)),
+        information=np.tile(np.diag(weight), (graph.num_edges, 1, 1)),
+    )
+
+
+def displaced(graph, by):
+    """The map with poses that are off by tangent vectors `[n, d]`."""
+    return graph.with_poses(lie.compose(lie.as_numpy(graph.poses), exp(graph.group, by)))
+
+
+@pytest.mark.parametrize("pose", [1, 17])
+def test_it_says_how_far_the_minimum_is(solution, pose):
+    """The first pose held, only the one that was displaced comes back."""
+    by = np.zeros((solution.graph.num_poses, solution.graph.tangent_dim))
+    by[pose, 0], by[pose, -1] = 0.3, 0.2
+    found = certify(displaced(fitting(solution.graph), by))
+    assert found.certified
+    chord = 2.0 * 0.3 / 0.2 * np.sin(0.1)  # of an arc of 0.3 m that turns by 0.2
+    assert found.moved == (pytest.approx(chord, rel=1e-9), pytest.approx(0.2, rel=2e-3))
+
+
+@pytest.mark.parametrize("missing, certified", [(0.9e-3, True), (1.1e-3, False)])
+def test_a_thousandth_of_one_may_be_missing_where_the_cost_is_less(
+    solution, monkeypatch, missing, certified
+):
+    monkeypatch.setattr(certificate._Problem, "lower_bound", lambda *_: -missing)
+    assert certify(fitting(solution.graph)).certified is certified
+
+
+def test_a_step_that_costs_more_is_halved(solution):
+    graph = fitting(solution.graph, precision=100.0)
+    problem = certificate._Problem.of(graph)
+    by = np.random.default_rng(7).normal(size=(30, graph.tangent_dim))
+    by[0] = 0.0
+    start = matrices(displaced(graph, by))
+    whole = start @ certificate._exp(problem._step(start), start.shape[1] - 1)
+    assert problem.cost(whole) > 1.1 * problem.cost(start)
+    np.testing.assert_allclose(problem.minimum(start), matrices(graph), atol=1e-7)
+
+
 @pytest.mark.parametrize("group", [jaxlie.SE2, jaxlie.SE3])
 def test_a_local_minimum_is_not_certified(group):
     """Wound round once, every step is off by a little; straight, none is."""

@@ -434,8 +434,14 @@ def test_poses_that_cost_less_are_taken_up():
 
 
 def test_a_good_fit_is_not_doubted(monkeypatch):
-    walk = turning_walk(jaxlie.SE2, 1, 0.2)
-    monkeypatch.setattr(
-        "pcm_jax.mapping.optimization.INITIAL", ("chordal", "a start that is not known")
-    )
-    assert optimize(walk).start == "chordal"
+    """No other start is tried, be the given poses worse or what was found before."""
+    tried = []
+
+    def counted(initial, *arguments, **options):
+        tried.append(initial)
+        return optimize_from(initial, *arguments, **options)
+
+    monkeypatch.setattr("pcm_jax.mapping.optimization.optimize_from", counted)
+    solution = optimize(turning_walk(jaxlie.SE2, 1, 0.2))
+    assert optimize(solution.graph).cost == pytest.approx(solution.cost)
+    assert tried == ["chordal", "chordal"]

@@ -10,6 +10,7 @@ from pcm_jax import lie, merge, merge_differentiable
 from pcm_jax.errors import InputError, InputWarning
 from pcm_jax.files import to_gtsam
 from pcm_jax.graph import MultiRobotGraph, PoseGraph, Priors, split
+from pcm_jax.merging.joint import joint_graph
 
 SIGMA = 0.01
 MOST = 5  # of the six true closures: each of 15 pairs passes in 99 of 100
@@ -155,3 +156,22 @@ def test_the_differentiable_merge_refuses_them(group):
     given = with_priors(graph, truth, [[2], []])
     with pytest.raises(InputError, match=r"priors: map 'a' has 1, .*without_priors"):
         merge_differentiable(given, np.ones(len(given.closures)))
+
+
+def test_an_empty_batch_of_priors_is_none():
+    """A merge is the same with it, wherever the robots' own frames are, and takes it."""
+    graph, _ = world(jaxlie.SE2)
+    graph = MultiRobotGraph((graph.maps[0], moved(graph.maps[1], 1.1)), graph.closures)
+    nothing = Priors.from_arrays(
+        pose=np.zeros(0, int), measurement=np.zeros((0, 3, 3)), information=np.zeros((0, 3, 3))
+    )
+    maps = tuple(dataclasses.replace(own, priors=nothing) for own in graph.maps)
+    given, every = MultiRobotGraph(maps, graph.closures), np.arange(len(graph.closures))
+    here = lie.identity(jaxlie.SE2, (2,))
+    assert joint_graph(given, (0, 1), every, here).priors is None
+    for method in ("pcm-exact", "dcs"):
+        one, other = (merge(each, method=method).solution for each in (given, graph))
+        assert one.initial_cost == pytest.approx(other.initial_cost, rel=1e-9)
+        assert one.cost == pytest.approx(other.cost, rel=1e-9)
+    with pytest.raises(InputError, match="weights: "):  # and nothing of priors
+        merge_differentiable(given, np.ones(len(every) + 1))

@@ -18,6 +18,7 @@ from pcm_jax.merging import refine as refining
 from pcm_jax.merging._innovation import squared_by_leaving
 from pcm_jax.merging.joint import joint_graph
 from pcm_jax.merging.recall import ROUNDS
+from pcm_jax.merging.refinement import JointTest
 from pcm_jax.merging.robust.solve import Turns
 from pcm_jax.pipeline import merge
 from pcm_jax.simulation import simulate_city, simulate_sessions
@@ -215,6 +216,18 @@ def test_refining_joins_nobody():
     tied = world.is_true & ~((ends == 2).any(axis=0) & (ends == 0).any(axis=0))
     joined = merge(world.graph, accepted=tied, refine="recall")
     np.testing.assert_array_equal(joined.accepted, world.is_true)
+
+
+def test_where_all_is_accepted_nothing_is_left_to_settle():
+    result = merge(two_lines([0.1, -0.1, 0.0]), accepted=first(3, 3), refine="recall")
+    assert (result.refinement.settled, result.refinement.rounds) == (True, 0)
+    assert not result.refinement.recalled.any()
+
+
+def test_a_joint_test_without_freedom_finds_nothing_against():
+    """For two degrees the probability of more than χ² is exp(−χ² / 2)."""
+    assert JointTest(5.0, 2).p == pytest.approx(np.exp(-2.5))
+    assert JointTest(5.0, 0).p == JointTest(5.0, -3).p == 1.0
 
 
 def test_closures_without_weight_stay_out():

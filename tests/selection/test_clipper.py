@@ -9,6 +9,7 @@ import pytest
 
 from pcm_jax.errors import InputError
 from pcm_jax.selection import select_from
+from pcm_jax.selection.methods import clipper as module
 from pcm_jax.selection.methods.clipper import SUPPORT, _relaxed, clipper
 
 GATE = 6.63
@@ -72,6 +73,22 @@ def test_the_penalty_leaves_a_clique_for_the_check_to_find(seed):
     affinity = np.where(consistent, np.exp(-0.5 * squared), 0.0)
     support = (u := _relaxed(affinity, (~consistent).astype(float))) > SUPPORT * u.max()
     assert consistent[np.ix_(support, support)].all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_first_ascent_is_without_a_penalty_and_the_check_leaves_a_clique(seed, monkeypatch):
+    """One ascent stays at the eigenvector of the largest eigenvalue, whose support is none."""
+    monkeypatch.setattr(module, "MOST_PENALTIES", 1)
+    consistent = (squared := clutter(seed, 40, 8)) <= GATE
+    affinity = np.where(consistent, np.exp(-0.5 * squared), 0.0)
+    u = _relaxed(affinity, (~consistent).astype(float))
+    assert u.min() > -1e-12
+    np.testing.assert_allclose(affinity @ u, np.linalg.norm(affinity, 2) * u, atol=1e-8)
+    support = u > SUPPORT * u.max()
+    assert not consistent[np.ix_(support, support)].all()
+    members = clipper(squared, GATE).members
+    assert consistent[np.ix_(members, members)].all()
+    assert members[np.argmax(u)]
 
 
 def test_it_finds_what_it_relaxes_nearly_always():

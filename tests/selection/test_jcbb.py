@@ -195,6 +195,38 @@ def test_what_passes_is_left_alone(group):
     assert (jointly.optimal, jointly.upper_bound) == (True, exact.members.sum())
 
 
+def test_a_set_may_be_as_large_as_the_largest_that_is_allowed(monkeypatch):
+    evidence = doubtful(jaxlie.SE2, 5, 12, squared=0.3)
+    gate = float(chi2_gate(0.99, 3))
+    monkeypatch.setattr(module, "LARGEST", 12)
+    assert choose(evidence, gate, method="jcbb").members.all()
+    monkeypatch.setattr(module, "LARGEST", 11)
+    with pytest.raises(InputError, match="12 closures agree pair by pair, expected at most 11"):
+        choose(evidence, gate, method="jcbb")
+
+
+def test_what_candidates_add_together_spares_branches(monkeypatch):
+    """Left out of the bound, it costs branches and changes no answer."""
+    evidence = doubtful(jaxlie.SE2, THIRTY[jaxlie.SE2], 30)
+    gate, searches = float(chi2_gate(0.99, 3)), []
+    run, rises = module._Search.run, module._Branch.rises
+
+    def recorded(self):
+        searches.append(self)
+        return run(self)
+
+    def alone(self):
+        own, together = rises(self)
+        return own, np.zeros_like(together)
+
+    monkeypatch.setattr(module._Search, "run", recorded)
+    bounded = choose(evidence, gate, method="jcbb")
+    monkeypatch.setattr(module._Branch, "rises", alone)
+    unbounded = choose(evidence, gate, method="jcbb")
+    assert bounded.members.tolist() == unbounded.members.tolist()
+    assert searches[0].branches < searches[1].branches
+
+
 def test_a_repaired_set_grows_again(group):
     evidence = doubtful(group, 5, 6, squared=0.3)
     sets = JointSets(evidence, np.arange(6), float(chi2_gate(0.99, lie.tangent_dim(group))))

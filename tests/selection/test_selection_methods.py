@@ -95,6 +95,14 @@ def test_scgp_affinities_by_hand():
     assert kept(q2, method="scgp", affinity="linear") == [0, 1]
 
 
+@pytest.mark.parametrize("affinity", ["linear", "binary"])
+def test_scgp_with_a_gate_of_nothing(affinity):
+    """Only what is no distance apart agrees."""
+    q2 = np.full((4, 4), 1e-6)
+    q2[1, 3] = q2[3, 1] = 0.0
+    assert select_from(q2, 0.0, method="scgp", affinity=affinity).tolist() == [0, 1, 0, 1]
+
+
 def test_scgp_beats_every_other_threshold():
     rng = np.random.default_rng(3)
     for _ in range(50):

@@ -8,6 +8,7 @@ import pytest
 from pcm_jax.clique import maximum_clique_batched
 from pcm_jax.errors import InputError
 from pcm_jax.selection import select_from, soft_select
+from pcm_jax.selection.soft import _starts, soft_adjacency
 
 GATE = 11.3
 
@@ -172,6 +173,16 @@ def test_batches(squared):
     others = np.arange(5) != 2
     np.testing.assert_array_equal(after[others], before[others])
     assert np.isfinite(after[2]).all()
+
+
+def test_starts_are_distributions(squared):
+    """Shares that add up to one, or all of nothing where there is nothing to start from."""
+    of_distances = jax.jit(lambda q, v: _starts(soft_adjacency(q, GATE, 1.0, v), v))
+    for valid in (np.arange(len(squared)) % 3 > 0, np.zeros(len(squared), bool)):
+        starts = np.asarray(of_distances(squared, valid))
+        assert (starts >= 0.0).all()
+        np.testing.assert_allclose(starts[:-1].sum(axis=1), 1.0)
+        np.testing.assert_allclose(starts[-1].sum(), float(valid.any()))
 
 
 def test_edges_of_the_domain():

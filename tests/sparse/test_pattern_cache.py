@@ -25,6 +25,16 @@ def test_equal_patterns_share_a_result():
     assert cache.get(lambda: next(numbers), keys(0)[0].astype(np.int32), 5) == 0
 
 
+def test_a_part_that_is_none_is_no_array():
+    """Neither of no entries, nor of one, whatever stands beside it."""
+    cache: PatternCache[int] = PatternCache()
+    numbers = itertools.count()
+    none, empty, one = None, np.zeros(0, int), np.ones(1, int)
+    patterns = [(none, one), (one, none), (empty, one), (one, empty), (none, empty), (empty, none)]
+    found = [cache.get(lambda: next(numbers), *pattern) for pattern in patterns]
+    assert found == list(range(6))
+
+
 def test_the_least_recently_used_goes_first():
     cache: PatternCache[int] = PatternCache(size=2)
     numbers = itertools.count()

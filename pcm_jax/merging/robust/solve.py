@@ -33,6 +33,7 @@ from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning, InputError
 from pcm_jax.graph import MultiRobotGraph, PoseGraph
 from pcm_jax.mapping.optimization import host_arrays, problem_of
+from pcm_jax.mapping.priors import priors_of
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import robot_groups
 from pcm_jax.merging.joint import cut_apart, joint_graph
@@ -260,7 +261,7 @@ def _start(
         return _checked_anchors(graph, anchors)
     if initial == "closures":
         return aligned_anchors(graph, np.ones(len(graph.closures), bool), groups)
-    if any(one.priors is not None for one in graph.maps):
+    if any(priors_of(one) is not None for one in graph.maps):
         return lie.identity(graph.group, (len(graph.maps),))
     first = [lie.take(lie.as_numpy(one.poses), 0) for one in graph.maps]
     leader = {robot: members[0] for members in groups for robot in members}
