@@ -17,6 +17,7 @@ from typing import Any
 import jax
 import jaxlie
 import pytest
+import supply
 from threadpoolctl import threadpool_limits
 
 QUICK = (
@@ -43,6 +44,11 @@ for name, value in {CACHE: os.environ[CACHE], **KEPT}.items():
 jax.config.update("jax_enable_x64", True)
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_report_header() -> list[str]:
+    """Says what was installed otherwise than recorded, where pip left a report."""
+    return supply.header()
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest reads the markers
