@@ -4,16 +4,29 @@ import ast
 import json
 import random
 import textwrap
+import time
 import warnings
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from long import _sites, determinism, differential, faults, fuzz, guided, limits, load, mutants
+from long import (
+    _sites,
+    determinism,
+    differential,
+    faults,
+    fuzz,
+    guided,
+    limits,
+    load,
+    mutants,
+    sequences,
+)
 from long._g2o_oracle import strict
 
 from pcm_jax.clique import maximum_clique
 from pcm_jax.errors import InputWarning
+from pcm_jax.online import IncrementalPcm
 
 SAMPLE = textwrap.dedent('''
     """Text."""
@@ -213,6 +226,16 @@ def test_what_libfuzzer_tells():
     steps = [(19, "INITED", 1315, 2086, 18), (68627, "NEW", 1707, 3650, 304)]
     assert guided.progress(text) == steps
     assert guided.is_reading("pcm_jax.files.text") and not guided.is_reading("pcm_jax.clique")
+
+
+@pytest.mark.slow
+def test_an_online_answer_that_is_not_the_batchs_would_be_seen(monkeypatch):
+    monkeypatch.setattr(sequences, "EACH", 5)
+    done = sequences.run(0, 1)
+    assert done["found"] == []
+    assert done["told"]["sequences"] >= 5
+    monkeypatch.setattr(IncrementalPcm, "remove", lambda self, indices: None)
+    assert sequences.run(0, 1, time.monotonic() + 30)["found"]
 
 
 @pytest.mark.slow
