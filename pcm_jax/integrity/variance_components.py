@@ -56,6 +56,10 @@ COVERED = 0.9
 SAMPLES = 100
 """Simulated errors a step."""
 STEPS = 40
+MOST = 30
+"""Evaluations of a map's solve, which begins near its optimum; contradictions have none near."""
+GIVEN_UP = 3
+"""Steps one after another in which some map has no optimum near, after which none is looked for."""
 NEAR = 0.3
 """In log θ: from there Fisher's steps are taken."""
 SETTLED = 1e-3
@@ -139,7 +143,7 @@ def variance_components(
     if not any(one.graph.num_edges >= one.graph.num_poses for one in parts):
         raise InputError("graph: no map has a loop, expected closures, which residuals come from")
     log, graphs, as_stated, volumes = np.zeros(4), [one.graph for one in parts], None, None
-    converged, last, share = False, np.zeros(4), 1.0
+    converged, failed, last, share = False, 0, np.zeros(4), 1.0
     for _ in range(STEPS):
         found = [
             _residuals(one, graph, log, np.random.default_rng([seed, number]))
@@ -153,7 +157,8 @@ def variance_components(
         share = 0.5 * share if move @ last < 0.0 else min(2.0 * share, 1.0)
         log, last = np.clip(log + share * move, -LARGEST, LARGEST), move
         converged = bool(np.abs(move).max() < SETTLED)
-        if converged:
+        failed = failed + 1 if not all(each.solved for each in found) else 0
+        if converged or failed == GIVEN_UP:
             break
     low, high = score.interval(log)
     return Components(
@@ -180,6 +185,7 @@ class _Found(NamedTuple):
         log_volume: `[e]`, the logarithm of the determinant of its covariance in the map of all
             others; infinite likewise.
         part: as given.
+        solved: whether that optimum was found.
     """
 
     graph: PoseGraph
@@ -188,6 +194,7 @@ class _Found(NamedTuple):
     squared: Float[np.ndarray, " e"]
     log_volume: Float[np.ndarray, " e"]
     part: Part
+    solved: bool
 
 
 def _residuals(
@@ -195,7 +202,8 @@ def _residuals(
 ) -> _Found:
     information = scaled_information(np.asarray(graph.information), part.closing, np.exp(-log))
     scaled = dataclasses.replace(graph, information=information)
-    solved = optimize(scaled, initial="given").graph
+    solution = optimize(scaled, initial="given", max_steps=MOST)
+    solved = solution.graph
     tail, head, measurement, information = host_arrays(solved)
     edges = padded_edges(tail, head, measurement, information, size=solved.num_edges)
     linear = linearize(lie.as_numpy(solved.poses), edges)
@@ -215,7 +223,7 @@ def _residuals(
     squared, log_volume = _judged(whitened)
     log_volume -= np.linalg.slogdet(information)[1]
     draws = halves[:, 1:].swapaxes(0, 1)
-    return _Found(back, halves[:, 0], draws, squared, log_volume, part)
+    return _Found(back, halves[:, 0], draws, squared, log_volume, part, solution.converged)
 
 
 def _judged(

@@ -12,6 +12,7 @@ import pcm_jax
 from pcm_jax import chi2_gate, lie
 from pcm_jax.errors import InputError
 from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.integrity import variance_components as components
 from pcm_jax.integrity.calibration import Factor, _how, closing_edges, scaled_graph
 from pcm_jax.integrity.variance_components import (
     SAMPLES,
@@ -305,6 +306,22 @@ def test_intervals_cover_what_differs_from_length_to_length():
         assert factor == pytest.approx(1.0 / (times * likeliest))
         assert factor.interval[0] < 0.9 / (times * high)
         assert factor.interval[1] > 1.1 / (times * low)
+
+
+def test_contradictions_are_given_up_soon(city, monkeypatch):
+    """A map that no step leads to the optimum of: three steps, of few evaluations each."""
+    graph = optimize(city.graph.maps[0]).graph
+    part = Part(graph, closing_edges(graph), np.zeros(graph.num_edges, bool))
+    asked = []
+
+    def unsolved(graph, **how):
+        asked.append(how["max_steps"])
+        return dataclasses.replace(optimize(graph, **how), converged=False)
+
+    assert variance_components([part]).converged
+    monkeypatch.setattr(components, "optimize", unsolved)
+    assert not variance_components([part]).converged
+    assert asked == [30, 30, 30]
 
 
 def test_a_factor_is_a_number():
