@@ -141,7 +141,7 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
             "consistency": trials.measuring,
             "clique": chosen - start - trials.measuring,
             "chance": judged - chosen,
-            "recheck": checked - judged,
+            **({"recheck": checked - judged} if question.recheck else {}),
             "recall": time.perf_counter() - checked,
         },
         odometry_scale=trial.factor,

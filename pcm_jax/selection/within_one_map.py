@@ -31,8 +31,8 @@ class WithinSelection:
         optimal: whether no larger pairwise consistent set exists (under `own_loop`: among the
             closures that agree with odometry); None if the method does not say.
         upper_bound: no such set has more members; None likewise.
-        seconds: wall-clock time of `"consistency"`, `"clique"`, `"chance"`, `"recheck"` and
-            `"recall"`.
+        seconds: wall-clock time of `"consistency"`, `"clique"`, `"chance"`, `"recheck"` where it
+            was asked for, and `"recall"`.
         odometry_scale: the factor on the standard deviations that odometry states under which it
             was tested; 1: as stated.
         verdict: why the closures found are accepted or not, see `integrity.Verdict`.
