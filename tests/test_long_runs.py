@@ -97,6 +97,12 @@ def test_mutated_files_are_read_or_refused_in_a_line():
     assert done["told"]["accepted"] > 25
 
 
+@pytest.mark.parametrize("number", [1004594, 1069840, 1149821, 1169514, 1209336, 1410738])
+def test_inputs_of_a_long_run_that_were_not_read_or_refused(number):
+    """A quaternion that signals, metres beyond floats, a log of priors alone, hard eigenvalues."""
+    assert fuzz.run(range(number, number + 1), 15, float("inf"))["found"] == {}
+
+
 def test_the_strict_reader_declines_what_is_not_plain():
     edge = "EDGE_SE2 0 1 1 0 0.5 1 0 0 1 0 1"
     ids, rows = strict(f"VERTEX_SE2 0 0 0 0\n{edge}\n")

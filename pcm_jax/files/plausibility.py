@@ -119,7 +119,8 @@ def _too_long(closures: LoopClosures, extent: float) -> Iterator[tuple[str, bool
     if not len(closures):
         return
     shift = np.asarray(lie.translation(lie.as_numpy(closures.measurement)))
-    length = float(np.median(np.linalg.norm(shift, axis=-1)))
+    with np.errstate(over="ignore"):
+        length = float(np.median(np.linalg.norm(shift, axis=-1)))
     if length > LONG * extent:
         yield (
             f"closures: their {length:.3g} m between maps of {extent:.3g} m cannot be meant; are"
@@ -142,7 +143,8 @@ def _odometry(one: PoseGraph) -> _Subject | None:
 
 def _extent(one: PoseGraph) -> float:
     places = np.asarray(lie.translation(lie.as_numpy(one.poses)))
-    return float(np.linalg.norm(np.ptp(places, axis=0)))
+    with np.errstate(over="ignore"):
+        return float(np.linalg.norm(np.ptp(places, axis=0)))
 
 
 def _turn(one: PoseGraph, odometry: np.ndarray) -> float:
@@ -154,7 +156,9 @@ def _turn(one: PoseGraph, odometry: np.ndarray) -> float:
 
 
 def _step(one: PoseGraph, odometry: np.ndarray) -> float:
-    length = np.linalg.norm(np.asarray(lie.translation(lie.as_numpy(one.measurement))), axis=-1)
+    shift = np.asarray(lie.translation(lie.as_numpy(one.measurement)))
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(shift, axis=-1)
     moving = length[odometry & (length > 0.0)]
     return float(np.median(moving)) if moving.size else np.inf
 

@@ -111,9 +111,9 @@ def unit_rotations(
     if size == 0:
         return parameters
     what = "quaternion" if size == 4 else "cosine and sine"
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         norm = np.sqrt(np.sum(np.square(parameters[:, :size]), axis=1))
-    none = (norm == 0.0) | np.isinf(norm)
+    none = (norm == 0.0) | ~np.isfinite(norm)
     raise_first(none, fault, lambda row: f"{what} of norm {norm[row]:g}, expected norm 1")
     raise_first(
         (np.abs(norm - 1.0) > ROUNDING) & bool(columns),
@@ -222,7 +222,10 @@ def clip_to_definite(
     bad = np.flatnonzero(~positive_definite(matrices))
     if not bad.size:
         return matrices, 0
-    values, vectors = np.linalg.eigh(matrices[bad])
+    try:
+        values, vectors = np.linalg.eigh(matrices[bad])
+    except np.linalg.LinAlgError:  # entries at the end of floats: left to be refused
+        return matrices, 0
     values = np.maximum(values, CLIP * values[:, -1:])
     clipped = np.array(matrices)
     clipped[bad] = (vectors * values[:, None, :]) @ np.swapaxes(vectors, -1, -2)

@@ -1,10 +1,15 @@
 import numpy as np
 import pytest
 
-from pcm_jax.errors import FileFormatError
+from pcm_jax.errors import FileFormatError, InputError
 from pcm_jax.files.text import line_fault
 from pcm_jax.graph import symbols
-from pcm_jax.graph.validation import clip_to_definite, positive_definite, unit_rotations
+from pcm_jax.graph.validation import (
+    argument_fault,
+    clip_to_definite,
+    positive_definite,
+    unit_rotations,
+)
 
 
 @pytest.mark.parametrize("d", [1, 3, 6])
@@ -54,3 +59,20 @@ def test_symbol_keys():
     assert symbols.are_symbols(ids[:2])
     assert not symbols.are_symbols(ids)
     assert not symbols.are_symbols(ids[:0])
+
+
+def test_a_quaternion_that_is_no_number_is_refused():
+    rows = np.array([[1.0, 0.0, 0.0, 0.0], [np.nan, 0.0, 0.0, 0.0]])
+    with pytest.raises(InputError, match=r"q\[1\]: quaternion of norm nan, expected norm 1"):
+        unit_rotations(rows, 4, argument_fault("q"))
+
+
+def test_what_has_no_eigenvalues_is_left_to_be_refused(monkeypatch):
+    def unsolved(matrices):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr(np.linalg, "eigh", unsolved)
+    matrices = -np.eye(3)[None]
+    found, clipped = clip_to_definite(matrices)
+    assert found is matrices
+    assert clipped == 0

@@ -81,7 +81,7 @@ def read_jrl(source: Source, reading: Reading) -> PoseFile:
     labels = _labels(whole)
     between = [factor for factor in factors if len(factor.keys) == 2]
     alone = [factor for factor in factors if len(factor.keys) == 1]
-    edges = _lines(source.path, between, group, labels)
+    edges = _lines(source.path, between, group, labels) if between else no_lines(group, 2)
     edges, clipped = checked(source.path, edges, reading.repair)
     return PoseFile(
         source.path,
