@@ -230,8 +230,13 @@ def test_ctrl_c_ends_a_search_that_is_on_lanes(monkeypatch):
 
     monkeypatch.setattr(Colourings, "advance", pressed)
     adjacency = random_graph(150, 0.7, 5)
-    with pytest.raises(CliqueInterrupt) as caught:
-        maximum_clique(adjacency)
+    # A shell that runs tests in the background has the signal ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(CliqueInterrupt) as caught:
+            maximum_clique(adjacency)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert is_clique(adjacency, caught.value.clique.members)
     monkeypatch.undo()
     assert maximum_clique(adjacency).optimal
