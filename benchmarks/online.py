@@ -148,16 +148,11 @@ def _of_growth(online: IncrementalPcm) -> dict[str, dict[str, Any]]:
     best, drawn = optimize(one).graph, np.random.default_rng(0)
     # Each time another loop, so that patterns are as new to the whole optimisation; the first one
     # compiles.
-    looped, whole = zip(
-        *[
-            (
-                _timed(partial(online.extend, 0, **_loop(best, 2 * k, drawn))),
-                _timed(partial(optimize, _with_edges(one, **_loop(best, 2 * k + 1, drawn)))),
-            )
-            for k in range(LOOPS)
-        ],
-        strict=True,
-    )
+    looped, whole = [], []
+    for k in range(LOOPS):
+        looped.append(_timed(partial(online.extend, 0, **_loop(best, 2 * k, drawn))))
+        other = _with_edges(one, **_loop(best, 2 * k + 1, drawn))
+        whole.append(_timed(partial(optimize, other)))
     online.result()
     again = _timed(online.merge)
     anew = _timed(partial(merge, online.graph))

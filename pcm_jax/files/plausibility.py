@@ -118,9 +118,7 @@ def _too_long(closures: LoopClosures, extent: float) -> Iterator[tuple[str, bool
     """Closures far longer than the maps that they join."""
     if not len(closures):
         return
-    shift = np.asarray(lie.translation(lie.as_numpy(closures.measurement)))
-    with np.errstate(over="ignore"):
-        length = float(np.median(np.linalg.norm(shift, axis=-1)))
+    length = float(np.median(_lengths(closures.measurement)))
     if length > LONG * extent:
         yield (
             f"closures: their {length:.3g} m between maps of {extent:.3g} m cannot be meant; are"
@@ -156,11 +154,15 @@ def _turn(one: PoseGraph, odometry: np.ndarray) -> float:
 
 
 def _step(one: PoseGraph, odometry: np.ndarray) -> float:
-    shift = np.asarray(lie.translation(lie.as_numpy(one.measurement)))
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(shift, axis=-1)
+    length = _lengths(one.measurement)
     moving = length[odometry & (length > 0.0)]
     return float(np.median(moving)) if moving.size else np.inf
+
+
+def _lengths(motions: Any) -> Float[np.ndarray, " e"]:
+    shift = np.asarray(lie.translation(lie.as_numpy(motions)))
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(shift, axis=-1)
 
 
 def _sigmas(information: Float[np.ndarray, "e d d"], group: type[Any]) -> Sigmas:

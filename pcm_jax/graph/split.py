@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
@@ -59,30 +60,36 @@ def split(pose_graph: PoseGraph, at: int | Sequence[int]) -> MultiRobotGraph:
     return MultiRobotGraph(maps, closures)
 
 
-def _piece(pose_graph: PoseGraph, robot: int, first: int, last: int) -> PoseGraph:
-    """The map of poses `first` … `last` − 1 and the edges between them."""
+def stretch(pose_graph: PoseGraph, first: int, last: int) -> PoseGraph:
+    """The map of poses `first` … `last` − 1 and the edges between them, in their order."""
     ends = np.stack([np.asarray(pose_graph.tail), np.asarray(pose_graph.head)])
     inside = np.flatnonzero(((ends >= first) & (ends < last)).all(axis=0))
     tail, head = ends[:, inside] - first
-    ids = pose_graph.ids[first:last]
-    try:
-        check_connected(tail, head, len(ids), ids=ids)
-    except InputError as error:
-        raise InputError(
-            f"at: piece {robot + 1} (poses {ids[0]} to {ids[-1]}) cannot be a map: {error}"
-        ) from None
     return PoseGraph.from_checked(
         poses=lie.take(lie.as_numpy(pose_graph.poses), slice(first, last)),
         tail=tail,
         head=head,
         measurement=lie.take(lie.as_numpy(pose_graph.measurement), inside),
         information=np.asarray(pose_graph.information)[inside],
-        ids=ids,
-        name="",
+        ids=pose_graph.ids[first:last],
+        name=pose_graph.name,
         source=pose_graph.source[inside],
         stamps=None if pose_graph.stamps is None else pose_graph.stamps[first:last],
         priors=_priors_within(pose_graph, first, last),
     )
+
+
+def _piece(pose_graph: PoseGraph, robot: int, first: int, last: int) -> PoseGraph:
+    """A stretch that holds together, as a robot's map."""
+    one = stretch(pose_graph, first, last)
+    ids = one.ids
+    try:
+        check_connected(np.asarray(one.tail), np.asarray(one.head), len(ids), ids=ids)
+    except InputError as error:
+        raise InputError(
+            f"at: piece {robot + 1} (poses {ids[0]} to {ids[-1]}) cannot be a map: {error}"
+        ) from None
+    return dataclasses.replace(one, name="")
 
 
 def _priors_within(pose_graph: PoseGraph, first: int, last: int) -> Priors | None:

@@ -84,14 +84,8 @@ def placed(poses: Any, priors: Priors) -> Any:
         motions.append(lie.compose(measured, lie.inverse(lie.take(here, surest))))
     if len(priors) > 1:
         motions.append(_kabsch(here, priors))
-    moved = [_moved(motion, lie.as_numpy(poses)) for motion in motions]
+    moved = [lie.compose(motion, lie.as_numpy(poses)) for motion in motions]
     return moved[int(np.argmin([_cost(each, turned(priors, each)) for each in moved]))]
-
-
-def _moved(motion: Any, poses: Any) -> Any:
-    return lie.compose(
-        lie.take(lie.stack([motion]), np.zeros(len(lie.parameters(poses)), int)), poses
-    )
 
 
 def _cost(poses: Any, priors: Priors) -> float:

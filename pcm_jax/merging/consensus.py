@@ -23,8 +23,7 @@ Host; a stretch is a few solves of the map up to its last pose.
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -32,10 +31,12 @@ from jaxtyping import Bool, Int
 from pcm_jax import lie
 from pcm_jax.consistency import chi2_gate
 from pcm_jax.graph import PoseGraph
+from pcm_jax.graph.split import stretch
 from pcm_jax.mapping import optimize
 from pcm_jax.mapping.least_squares import Solved
 from pcm_jax.mapping.optimization import host_arrays, problem_of
 from pcm_jax.merging._innovation import innovation, squared_by_leaving
+from pcm_jax.merging.joint import gone_on
 from pcm_jax.merging.robust.solve import squared_residuals
 
 STRETCH = 150
@@ -131,7 +132,7 @@ class _Way:
     ):
         self.chain, self.odometry, self.confidence = chain, odometry, confidence
         self.used, self.open = odometry.copy(), candidates.copy()
-        self.poses, self.solved, self.cost = lie.as_numpy(chain.poses), 1, 0.0
+        self.poses, self.cost = lie.take(lie.as_numpy(chain.poses), slice(0, 1)), 0.0
         self.dim = chain.tangent_dim
         self.gate = float(chi2_gate(confidence, self.dim))
 
@@ -146,34 +147,25 @@ class _Way:
             here = self._with(here, passing)
             asked = asked[~near]
         self.open[here.rows], self.used[here.rows] = False, here.used
-        self.cost = here.cost
-        rest = lie.take(self.poses, np.arange(upto, self.chain.num_poses))
-        self.poses = lie.concatenate([lie.as_numpy(here.graph.poses), rest])
-        self.solved = upto
+        self.poses, self.cost = lie.as_numpy(here.graph.poses), here.cost
 
     def _up_to(self, count: int) -> _Here:
         """The map up to a pose, the new poses where odometry puts them from the last one solved."""
-        last, chain = self.solved - 1, lie.as_numpy(self.chain.poses)
-        step = lie.compose(lie.take(self.poses, last), lie.inverse(lie.take(chain, last)))
-        rest = lie.take(chain, np.arange(self.solved, self.chain.num_poses))
-        moved = lie.compose(_repeated(step, len(lie.parameters(rest))), rest)
-        known = lie.take(self.poses, np.arange(self.solved))
-        self.poses = lie.concatenate([known, lie.normalize(moved)])
+        part = stretch(self.chain, 0, count)
+        part = part.with_poses(gone_on(self.poses, part.poses))
         rows = np.flatnonzero(np.maximum(self.chain.tail, self.chain.head) < count)
-        return _Here(_first(self.chain, self.poses, count, rows), rows, self.used[rows], self.cost)
+        return _Here(part, rows, self.used[rows], self.cost)
 
     def _with(self, here: _Here, entering: np.ndarray) -> _Here:
         """The map with closures that enter, less those that it cannot hold together."""
-        before = int((here.used & ~self.odometry[here.rows]).sum())
         used = here.used.copy()
         used[entering] = True
         while (used != here.used).any():
             solved = _solved(here.graph, used)
-            more = int((used & ~self.odometry[here.rows]).sum()) - before
+            freedom = self.dim * max(1, int(used.sum()) - int(here.used.sum()))
             rise = 2.0 * (solved.cost - here.cost)
-            if solved.converged and rise <= chi2_gate(self.confidence, self.dim * max(1, more)):
-                return _Here(here.graph.with_poses(solved.poses), here.rows, used, solved.cost)
-            worst = self._worst(here, used, solved, entering)
+            fits = solved.converged and rise <= chi2_gate(self.confidence, freedom)
+            worst = [] if fits else self._worst(here, used, solved, entering)
             if not len(worst):
                 return _Here(here.graph.with_poses(solved.poses), here.rows, used, solved.cost)
             used[worst] = False
@@ -202,24 +194,5 @@ def _stretches(late: Int[np.ndarray, " k"], poses: int) -> list[int]:
     return [*np.unique(ends).tolist(), poses]
 
 
-def _first(whole: PoseGraph, poses: Any, count: int, rows: np.ndarray) -> PoseGraph:
-    """The first poses of a map, and the edges among them."""
-    return dataclasses.replace(
-        whole,
-        poses=lie.take(poses, np.arange(count)),
-        tail=whole.tail[rows],
-        head=whole.head[rows],
-        measurement=lie.take(lie.as_numpy(whole.measurement), rows),
-        information=np.asarray(whole.information)[rows],
-        source=whole.source[rows],
-        ids=whole.ids[:count],
-        stamps=None if whole.stamps is None else whole.stamps[:count],
-    )
-
-
 def _solved(graph: PoseGraph, used: np.ndarray) -> Solved:
     return problem_of(graph.with_edges(used)).solve(graph.poses, rtol=LOOSE, max_steps=STEPS)
-
-
-def _repeated(one: Any, count: int) -> Any:
-    return lie.take(lie.stack([one]), np.zeros(count, np.int64))

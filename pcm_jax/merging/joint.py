@@ -185,3 +185,18 @@ def _closure_order(joint: PoseGraph, closures: int) -> tuple[np.ndarray, int]:
         (others if a == b else tree).append(edge)
         robot[robot == b] = a
     return np.array(tree + others, np.int64), len(tree)
+
+
+def gone_on(were: Any, own: Any) -> Any:
+    """Poses of a map in another frame, and those behind them where the map has them from the last.
+
+    Args:
+        were: Lie `[k]`, the first poses in the other frame.
+        own: Lie `[n]`, all of the map's own; of fewer than k so many are given back.
+    """
+    were, own = lie.as_numpy(were), lie.as_numpy(own)
+    count, now = len(lie.parameters(were)), len(lie.parameters(own))
+    if now <= count:
+        return lie.take(were, np.arange(now))
+    step = lie.compose(lie.take(were, count - 1), lie.inverse(lie.take(own, count - 1)))
+    return lie.concatenate([were, lie.compose(step, lie.take(own, np.arange(count, now)))])

@@ -24,7 +24,7 @@ from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.merging import MergeResult
 from pcm_jax.merging.alignment import aligned_anchors
 from pcm_jax.merging.groups import closures_within, robot_groups
-from pcm_jax.merging.joint import joint_graph
+from pcm_jax.merging.joint import gone_on, joint_graph
 from pcm_jax.merging.merged import solve_groups
 from pcm_jax.selection import Selection
 
@@ -120,39 +120,24 @@ def _placed(
 ) -> list[PoseGraph]:
     """The maps of a group in its frame: where they were, or where their closures put them."""
     anew = [
-        own.maps[robot].with_poses(_moved(lie.take(anchors, robot), own.maps[robot].poses))
+        own.maps[robot].with_poses(
+            lie.compose(lie.take(anchors, robot), lie.as_numpy(own.maps[robot].poses))
+        )
         for robot in members
     ]
     together = any(set(members) <= set(group) for group in last.groups)
     if len(members) == 1 or not together:
         return anew
-    were = [_grown(last.graph.maps[robot].poses, own.maps[robot].poses) for robot in members]
+    were = [gone_on(last.graph.maps[robot].poses, own.maps[robot].poses) for robot in members]
     first = lie.take(lie.as_numpy(own.maps[members[0]].poses), 0)
     back = lie.compose(first, lie.inverse(lie.take(were[0], 0)))
     before = [
-        own.maps[robot].with_poses(_moved(back, poses))
+        own.maps[robot].with_poses(lie.compose(back, poses))
         for robot, poses in zip(members, were, strict=True)
     ]
     used = closures_within(tuple(members), own.closures, accepted)
     costs = [_cost(own, members, used, maps) for maps in (before, anew)]
     return before if costs[0] <= costs[1] else anew
-
-
-def _grown(were: Any, own: Any) -> Any:
-    """Poses in a group's frame, and behind them those that have come since."""
-    were, own = lie.as_numpy(were), lie.as_numpy(own)
-    count, now = len(lie.parameters(were)), len(lie.parameters(own))
-    if now <= count:
-        return lie.take(were, np.arange(now))
-    step = lie.compose(lie.take(were, count - 1), lie.inverse(lie.take(own, count - 1)))
-    return lie.concatenate([were, _moved(step, lie.take(own, np.arange(count, now)))])
-
-
-def _moved(by: Any, poses: Any) -> Any:
-    poses = lie.as_numpy(poses)
-    return lie.compose(
-        lie.take(lie.stack([by]), np.zeros(len(lie.parameters(poses)), np.int64)), poses
-    )
 
 
 def _cost(

@@ -51,7 +51,7 @@ from pcm_jax.selection import Selection
 
 MOST_WAITING = 10_000
 """Closures that may wait for poses."""
-FORM, SAVED = "IncrementalPcm", ("options", "step", "metric")
+FORM = "IncrementalPcm"
 
 
 class IncrementalPcm:
@@ -374,11 +374,11 @@ class IncrementalPcm:
         """
         meta, arrays = read(Path(path), FORM)
         online = object.__new__(cls)
-        online._options, online._step, online._metric = (meta[name] for name in SAVED)
+        online._options, online._metric = meta["options"], meta["metric"]
         online._most_waiting, online._hysteresis, tolerance = meta["rule"]
         online._log = deque((Change(*each) for each in meta["log"]), maxlen=MOST_LOGGED)
-        method, confidence, gate = meta["names"]
-        online._names, online._seconds = (method, confidence, gate), meta["seconds"]
+        *_, gate = online._names = tuple(meta["names"])
+        online._step, online._seconds = meta["step"], meta["seconds"]
         online._identities = online._graph = online._selection = online._merged = None
         online._rooms = defaultdict(Room)
         state = state_of(arrays, meta, (gate, memory_limit(meta["options"]), None))

@@ -13,29 +13,24 @@ from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping import optimize
 from pcm_jax.merging.recall import recall
 from pcm_jax.merging.refinement import JointTest
-from pcm_jax.pipeline._within_recheck import scaled
 
 
 def with_recalled(
-    pose_graph: PoseGraph,
+    whole: PoseGraph,
     kept: Bool[np.ndarray, " e"],
     odometry: Bool[np.ndarray, " e"],
-    *,
-    factor: float,
     confidence: float,
 ) -> Bool[np.ndarray, " e"]:
     """Marks the edges kept, and closures that agree with the map that these make.
 
     Args:
-        pose_graph: the map, of which priors play no part.
+        whole: as for `rechecked`.
         kept: odometry and the closures accepted, one at least.
         odometry: the edges that are never in doubt.
-        factor: on the standard deviations that odometry states.
         confidence: of the gate, and of the joint test of what comes back.
     """
     if kept.all():
         return kept
-    whole = scaled(pose_graph, odometry, factor)
     solution = optimize(whole.with_edges(kept))
     if not solution.converged:
         return kept

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Bool
 
@@ -13,34 +11,23 @@ from pcm_jax.mapping import optimize
 from pcm_jax.merging.consensus import consensus, fitting_edges
 
 
-def scaled(pose_graph: PoseGraph, odometry: Bool[np.ndarray, " e"], factor: float) -> PoseGraph:
-    """The map without priors, odometry's standard deviations multiplied."""
-    information = np.array(pose_graph.information)
-    information[odometry] /= factor**2
-    return dataclasses.replace(pose_graph.without_priors(), information=information)
-
-
 def rechecked(
-    pose_graph: PoseGraph,
+    whole: PoseGraph,
     kept: Bool[np.ndarray, " e"],
     odometry: Bool[np.ndarray, " e"],
-    *,
-    factor: float,
     confidence: float,
 ) -> Bool[np.ndarray, " e"]:
     """Marks odometry and the closures that hold in the map as it grows, and in the end.
 
     Args:
-        pose_graph: the map, of which priors play no part.
+        whole: the map as it was judged, without priors.
         kept: odometry and the closures accepted.
         odometry: the edges that are never in doubt.
-        factor: on the standard deviations that odometry states.
         confidence: of the gate, and of the joint test on the way.
     """
     asked = kept & ~odometry
     if not asked.any():
         return kept
-    whole = scaled(pose_graph, odometry, factor)
     alone = optimize(whole.with_edges(odometry)).graph
     used, grown = consensus(whole.with_poses(alone.poses), odometry, asked, confidence=confidence)
     gate = float(chi2_gate(confidence, whole.tangent_dim))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from pcm_jax.consistency import chi2_gate, odometry_edges
 from pcm_jax.errors import InputError
@@ -117,13 +117,13 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
     trial, verdict = _judged(trials, found, question)
     kept = odometry.copy()
     kept[closures] = trial.members & verdict.believed
-    members, asked_of = kept, {"factor": trial.factor, "confidence": question.confidence}
+    members, whole = kept, _as_judged(pose_graph, odometry, trial.factor)
     judged = time.perf_counter()
     if question.recheck:
-        kept = rechecked(pose_graph, kept, odometry, **asked_of)
+        kept = rechecked(whole, kept, odometry, question.confidence)
     checked = time.perf_counter()
     if question.recalls and kept[closures].any():
-        kept = with_recalled(pose_graph, kept, odometry, **asked_of)
+        kept = with_recalled(whole, kept, odometry, question.confidence)
     return WithinSelection(
         graph=pose_graph.with_edges(kept),
         kept=kept,
@@ -147,6 +147,13 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
         odometry_scale=trial.factor,
         verdict=verdict,
     )
+
+
+def _as_judged(pose_graph: PoseGraph, odometry: Bool[np.ndarray, " e"], factor: float) -> PoseGraph:
+    """The map without priors, odometry's standard deviations multiplied."""
+    information = np.array(pose_graph.information)
+    information[odometry] /= factor**2
+    return dataclasses.replace(pose_graph.without_priors(), information=information)
 
 
 def _judged(trials: Trials, found: list[Trial], question: Question) -> tuple[Trial, Verdict]:

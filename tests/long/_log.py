@@ -32,3 +32,8 @@ def table(head: list[str], rows: list[list[object]]) -> str:
     """A table in markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+
+
+def found_in(lines: list[str]) -> str:
+    """The last part of a log: what was found, a line each."""
+    return "\n## Found\n\n" + ("\n".join(f"- {one}" for one in lines) or "nothing") + "\n"

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from ._log import LOGS, ROOT, commit, machine, table
+from ._log import LOGS, ROOT, commit, found_in, machine, table
 
 START = """
 import random, sys, time
@@ -145,9 +145,7 @@ def main() -> None:
         f" {given.worlds}`: {', '.join(NAMES)} and what is printed, of each world and setting."
         f" Commit {commit()}; {machine()}; {time.perf_counter() - began:.0f} s.\n\n"
         + table(["setting", "worlds", "that differ"], rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {one}" for one in wrong) or "nothing")
-        + "\n"
+        + found_in(wrong)
     )
     sys.stderr.write(given.out.read_text())
 

@@ -25,7 +25,7 @@ import pcm_jax as pcm
 from pcm_jax import lie
 from pcm_jax.graph import PoseGraph
 
-from ._log import LOGS, commit, machine, table
+from ._log import LOGS, commit, found_in, machine, table
 
 
 def random_map(rng: np.random.Generator) -> PoseGraph:
@@ -209,9 +209,7 @@ def main() -> None:
         f" {given.count} --seed {given.seed}`. Commit {commit()}; {machine()};"
         f" {time.perf_counter() - began:.0f} s.\n\n"
         + table(["of", "cases", "against", "differ"], rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {one}" for one in wrong) or "nothing")
-        + "\n"
+        + found_in(wrong)
     )
 
 

@@ -27,7 +27,7 @@ from typing import Any
 from pcm_jax.errors import FileFormatError
 from pcm_jax.online._saved import read as read_state
 
-from ._log import LOGS, ROOT, commit, machine, table
+from ._log import LOGS, ROOT, commit, found_in, machine, table
 from ._seeds import write_team
 
 OLD = b"what was here before\n"
@@ -266,11 +266,7 @@ def told_of(given: Any, rows: list[list[object]], wrong: list[str], seconds: flo
     return (
         f"# Faults around the command line\n\n`python -m tests.long.faults --moments"
         f" {given.moments} --seed {given.seed}`. Commit {commit()}; {machine()};"
-        f" {seconds:.0f} s.\n\n"
-        + table(head, rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {one}" for one in wrong) or "nothing")
-        + "\n"
+        f" {seconds:.0f} s.\n\n" + table(head, rows) + found_in(wrong)
     )
 
 

@@ -37,7 +37,7 @@ from pcm_jax.files import read_graph
 from pcm_jax.online import IncrementalPcm
 
 from ._g2o_oracle import strict
-from ._log import LOGS, commit, machine, table
+from ._log import LOGS, commit, found_in, machine, table
 from ._seeds import Seed, binaries, texts, write_team
 
 SECONDS, HUNG, BYTES = 1.0, 20, 2 << 30
@@ -338,16 +338,14 @@ def main() -> None:
     done = run(numbers, given.seed, time.monotonic() + 60 * given.minutes)
     told = done["told"]
     rows = [[name, count] for name, count in sorted(done["by_format"].items())]
-    kinds = [f"- {kind} ({len(at)} times, first {at[0]})" for kind, at in done["found"].items()]
+    kinds = [f"{kind} ({len(at)} times, first {at[0]})" for kind, at in done["found"].items()]
     given.out.write_text(
         f"# Fuzzed readers\n\n`python -m tests.long.fuzz --first {given.first} --count"
         f" {told['tried']} --seed {given.seed}`: {told['tried']} inputs, {told['accepted']}"
         f" accepted, {told['compared']} of these compared with the strict reader; memory grew by"
         f" {told['grown']} MiB. Commit {commit()}; {machine()}; {done['seconds']:.0f} s.\n\n"
         + table(["seed", "inputs"], rows)
-        + "\n## Found\n\n"
-        + ("\n".join(kinds) or "nothing")
-        + "\n"
+        + found_in(kinds)
     )
 
 

@@ -30,7 +30,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from ._log import LOGS, ROOT, commit, machine, table
+from ._log import LOGS, ROOT, commit, found_in, machine, table
 
 READING = ("files", "graph", "online", "cli.explain", "cli._reports")
 ABSENT = "python -m tests.long.guided: needs Atheris, `pip install atheris`"
@@ -203,9 +203,7 @@ def told_of(given: argparse.Namespace, done: dict[str, Any]) -> str:
         f" accepted, {told['compared']} of these compared with the strict reader. Commit"
         f" {commit()}; {machine()}; {done['seconds']:.0f} s, {rate:.0f} inputs a second.\n\n"
         + table(["after", "inputs", "edges", "features", "inputs kept"], rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {kind} ({n} times)" for kind, n in done["kinds"].items()) or "nothing")
-        + "\n"
+        + found_in([f"{kind} ({n} times)" for kind, n in done["kinds"].items()])
     )
 
 

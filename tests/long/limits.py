@@ -23,7 +23,7 @@ import numpy as np
 from pcm_jax.clique import GrowingClique, maximum_clique
 from pcm_jax.clique.result import Clique
 
-from ._log import LOGS, commit, machine, table
+from ._log import LOGS, commit, found_in, machine, table
 
 MORE, AND = 0.1, 0.1  # of the limit; seconds
 TRIES = 3
@@ -166,9 +166,7 @@ def main() -> None:
         f"# Time limits\n\n`python -m tests.long.limits {command}`. Commit {commit()};"
         f" {machine()}; {time.perf_counter() - began:.0f} s.\n\n"
         + table(head, rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {one}" for one in wrong) or "nothing")
-        + "\n"
+        + found_in(wrong)
     )
 
 

@@ -26,7 +26,7 @@ import pcm_jax as pcm
 from pcm_jax.simulation import simulate_city, simulate_sessions
 from pcm_jax.sparse import registry
 
-from ._log import LOGS, commit, machine, table
+from ._log import LOGS, commit, found_in, machine, table
 
 COMPILED = "backend_compile_duration"
 FLAT, MORE = 0.05, 10  # of memory; programs after the warm-up
@@ -112,9 +112,7 @@ def main() -> None:
         f" {done['growth']:.1%} and {done['more']} programs were compiled; {done['accepted']}"
         f" closures accepted. Commit {commit()}; {machine()}; {done['seconds']:.0f} s.\n\n"
         + table(["merges", "in memory", "programs compiled"], rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {one}" for one in done["fault"]) or "nothing")
-        + "\n"
+        + found_in(done["fault"])
     )
     sys.stderr.write(given.out.read_text())
 

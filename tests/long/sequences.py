@@ -17,7 +17,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from ._log import LOGS, ROOT, commit, machine, table
+from ._log import LOGS, ROOT, commit, found_in, machine, table
 
 sys.path[:0] = [str(ROOT / "tests" / "online"), str(ROOT / "tests")]
 EACH = 100
@@ -94,9 +94,7 @@ def main() -> None:
         f" {told['sequences']}`, seeds {given.first} to {done['next'] - 1}. Commit {commit()};"
         f" {machine()}; {done['seconds']:.0f} s.\n\n"
         + table(["of", "count"], rows)
-        + "\n## Found\n\n"
-        + ("\n".join(f"- {one}" for one in done["found"]) or "nothing")
-        + "\n"
+        + found_in(done["found"])
     )
     sys.stderr.write(given.out.read_text())
 
