@@ -58,14 +58,31 @@ def host_scope() -> Iterator[None]:
     """A scope of 64-bit types, on the CPU, under JAX's standard rules of promotion.
 
     The settings are JAX's own context managers: they hold for this thread and this scope alone.
+    Inside such a scope another one changes nothing, and is left out.
     """
+    device = host_device()
+    if _is_host(device):
+        yield
+        return
     with ExitStack() as scopes:
         scopes.enter_context(jax.enable_x64(True))
-        scopes.enter_context(jax.default_device(host_device()))
+        scopes.enter_context(jax.default_device(device))
         scopes.enter_context(standard_rules())
         scopes.enter_context(jax.debug_nans(False))  # NaN is how a kernel says "no factor"
         scopes.enter_context(jax.debug_infs(False))
         yield
+
+
+def _is_host(device: Any) -> bool:
+    """True where all settings of `host_scope` are in force."""
+    now: Any = jax.config
+    return (
+        now.jax_enable_x64
+        and now.jax_default_device is device
+        and now.jax_numpy_dtype_promotion == "standard"
+        and now.jax_numpy_rank_promotion == "allow"
+        and not (now.jax_debug_nans or now.jax_debug_infs)
+    )
 
 
 def on_host(function: Callable[P, R]) -> Callable[P, R]:

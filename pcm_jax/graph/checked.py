@@ -20,10 +20,12 @@ ORDERS = ("translation-rotation", "rotation-translation")
 
 def batch_size(transform: Any) -> int:
     """The size of a batch `[n]`, under a vmap's leading axes too; 0 where no shape is known."""
-    for leaf in jax.tree.leaves(transform):
-        shape = getattr(leaf, "shape", ())
-        return shape[-2] if len(shape) > 1 else 0
-    return 0
+    if isinstance(transform, jaxlie.MatrixLieGroup):
+        leaves = [lie.parameters(transform)]  # flattening takes longer
+    else:
+        leaves = jax.tree.leaves(transform)
+    shape = getattr(leaves[0], "shape", ()) if leaves else ()
+    return shape[-2] if len(shape) > 1 else 0
 
 
 def rotation_size(group: type) -> int:
