@@ -11,7 +11,9 @@ of the closures. Most new closures need none. The covariance of a difference is 
     G_ij  ⪯  2 (C_ii + C_jj)
 
 so M (`_closed_form`) with these in place of Ga and Gb is too large, and q² by it too small: pairs
-that it tells apart are apart. A false closure is mostly told from all others by that alone.
+that it tells apart are apart. A false closure is mostly told from all others by that alone. For
+most pairs the trace of M's translations, which is at least its largest eigenvalue, says as much: of
+T_v T_u⁻¹ the translation is as long as that between T_u⁻¹ and T_v⁻¹, and Log shortens none.
 
 Left perturbations are in a frame that stays (`MapCovariance.origin`), so what was found before
 stays true. Host; a row of Q is computed in NumPy until compiling pays.
@@ -21,10 +23,10 @@ from __future__ import annotations
 
 import copy
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -47,6 +49,8 @@ ROUNDING = 1e-6
 """By which rounding may move a bound, relative to the gate: far more than it does."""
 WORTH = 1000
 """Pairs that take NumPy as long as all of its calls for a row take by themselves."""
+WAYS = 0, 1
+"""Directions of a pair of closures, u so far and v new: q²_uv and q²_vu."""
 
 
 class GrowingPair:
@@ -72,6 +76,7 @@ class GrowingPair:
         ends = np.cumsum([entries, packed, packed, packed, self._dim**2])
         self._parts = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
         self._numbers = np.zeros((int(ends[-1]), SMALLEST))
+        self._reach = np.zeros((len(self._reach_of(self._numbers)), SMALLEST))
         self._poses = np.zeros((2, SMALLEST), np.int64)
         self._unsaid = np.zeros(SMALLEST, bool)
 
@@ -93,8 +98,7 @@ class GrowingPair:
         left = np.arange(self.count)
         old = self._numbers[:, : self.count]
         if not (new.unsaid or self._unsaid[: self.count].any()):
-            bound = self._row(old, new, self._bounds(old, new))
-            left = np.flatnonzero(~(bound > self.gate * (1.0 + ROUNDING)).any(axis=0))
+            left = self._not_apart(old, new)
         if len(left):
             old = old[:, left]
             squared = self._row(old, new, self._sides(old, new, self._poses[:, left]))
@@ -106,6 +110,7 @@ class GrowingPair:
         if self.count == len(self._unsaid):
             self._double()
         self._numbers[:, self.count] = self._next.numbers[:, 0]
+        self._reach[:, self.count] = self._next.reach[:, 0]
         self._poses[:, self.count] = self._next.poses
         self._unsaid[self.count] = self._next.unsaid
         self.count += 1
@@ -131,7 +136,7 @@ class GrowingPair:
         while count > len(self._unsaid):
             self._double()
         some = slice(self.count, count)
-        self._numbers[:, some] = numbers
+        self._numbers[:, some], self._reach[:, some] = numbers, self._reach_of(numbers)
         self._poses[:, some] = closures.pose_a, closures.pose_b
         self._unsaid[some], self.count = unsaid, count
 
@@ -174,7 +179,10 @@ class GrowingPair:
     def keep(self, slots: Bool[np.ndarray, " m"], other: GrowingPair) -> None:
         """Takes what `other` holds of some closures for what is held of them here."""
         rows = np.flatnonzero(slots)
-        self._numbers[:, rows] = other._numbers[:, rows]
+        self._numbers[:, rows], self._reach[:, rows] = (
+            other._numbers[:, rows],
+            other._reach[:, rows],
+        )
 
     def copy(self) -> GrowingPair:
         """Copies the state; until one of the two has room to make, tables are shared.
@@ -186,17 +194,19 @@ class GrowingPair:
 
     def remove(self, slot: int) -> None:
         """Takes a closure out; those behind it move up by one."""
-        self._numbers, self._poses, self._unsaid = (
-            np.concatenate([table[..., :slot], table[..., slot + 1 :], table[..., [slot]]], axis=-1)
-            for table in (self._numbers, self._poses, self._unsaid)
+        self._each_table(
+            lambda of: np.concatenate(
+                [of[..., :slot], of[..., slot + 1 :], of[..., [slot]]], axis=-1
+            )
         )
         self.count -= 1
 
     def _double(self) -> None:
-        self._numbers, self._poses, self._unsaid = (
-            np.concatenate([table, np.zeros_like(table)], axis=-1)
-            for table in (self._numbers, self._poses, self._unsaid)
-        )
+        self._each_table(lambda table: np.concatenate([table, np.zeros_like(table)], axis=-1))
+
+    def _each_table(self, change: Callable[[np.ndarray], np.ndarray]) -> None:
+        tables = self._numbers, self._reach, self._poses, self._unsaid
+        self._numbers, self._reach, self._poses, self._unsaid = map(change, tables)
 
     def _one(self, one: LoopClosures) -> _One:
         poses = int(one.pose_a[0]), int(one.pose_b[0])
@@ -205,7 +215,7 @@ class GrowingPair:
             for covariance, pose in zip(self.covariances, poses, strict=True)
         ]
         numbers, unsaid = self._kept(one, owns)
-        return _One(numbers, poses, unsaid)
+        return _One(numbers, self._reach_of(numbers), poses, unsaid)
 
     def _kept(
         self, closures: LoopClosures, owns: list[np.ndarray]
@@ -229,6 +239,49 @@ class GrowingPair:
         parts = placed, noise, *owns, unsaid.reshape(self._dim**2, -1)
         return np.concatenate(parts), free is not None
 
+    def _not_apart(self, old: Float[np.ndarray, "s n"], new: _One) -> Int[np.ndarray, " k"]:
+        """Finds those that the bounds do not tell from a new one, in one direction, then both."""
+        gate = self.gate * (1.0 + ROUNDING)
+        squared, largest = self._lengths(
+            self._reach[:, : old.shape[1]], self._reach_of(new.numbers)
+        )
+        left = np.flatnonzero(~(squared > gate * largest))
+        for way in WAYS:
+            if len(left):
+                (bound,) = self._row(old[:, left], new, self._bounds(old[:, left], new), (way,))
+                left = left[~(bound > gate)]
+        return left
+
+    def _reach_of(self, numbers: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "r n"]:
+        """Takes of T⁻¹ the translation and its square; traces of 2 C_a + Z and, twice, 4 C_b."""
+        placed, noise, own_a, own_b, _ = (numbers[part] for part in self._parts)
+        packed = [k for k, (i, j) in enumerate(unrolled.packed_indices(self._dim)) if i == j]
+        space = self._module.MATRIX_DIM - 1
+        there, turned = packed[:space], packed[space:]
+        away = np.stack(self._module.inverse(tuple(placed))[-space:])
+        return np.concatenate(
+            [
+                away,
+                np.sum(away * away, axis=0, keepdims=True),
+                np.sum(2.0 * own_a[there] + noise[there], axis=0, keepdims=True),
+                np.sum(4.0 * own_b[there], axis=0, keepdims=True),
+                np.sum(4.0 * own_b[turned], axis=0, keepdims=True),
+            ]
+        )
+
+    def _lengths(
+        self, old: Float[np.ndarray, "r n"], new: Float[np.ndarray, "r 1"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Squared translations of T_v T_u⁻¹, and more than the largest eigenvalue of theirs in M.
+
+        For X ⪰ 0 the translations' block of Ad(T) X Ad(T)ᵀ has at most the trace
+        2 (tr X_tt + |t|² tr X_rr).
+        """
+        apart = old[:-4] - new[:-4]
+        fixed, there, turned = old[-3:] + new[-3:]
+        nearer = np.minimum(old[-4], new[-4])
+        return np.sum(apart * apart, axis=0), fixed + there + nearer * turned
+
     def _bounds(self, old: Float[np.ndarray, "s n"], new: _One) -> list[np.ndarray]:
         """More than Ga_ij and Gb_ij, packed: 2 (C_ii + C_jj)."""
         return [2.0 * (old[part] + new.numbers[part]) for part in self._parts[2:4]]
@@ -245,36 +298,42 @@ class GrowingPair:
         ]
 
     def _row(
-        self, old: Float[np.ndarray, "s n"], new: _One, sides: list[np.ndarray]
-    ) -> Float[np.ndarray, "2 n"]:
-        """q² of some closures with a new one, in both directions."""
+        self,
+        old: Float[np.ndarray, "s n"],
+        new: _One,
+        sides: list[np.ndarray],
+        ways: tuple[int, ...] = WAYS,
+    ) -> Float[np.ndarray, "w n"]:
+        """q² of some closures with a new one, a row for each direction."""
         of_old, of_new = ([table[part] for part in self._parts] for table in (old, new.numbers))
+        t_u, t_v = of_old[0], of_new[0]
         fixed, side_b = sides[0] + of_old[1] + of_new[1], sides[1]
-        if of_old[4].any() or of_new[4].any():
-            return self._limits(of_old[0], of_new[0], fixed, side_b, of_old[4], of_new[4])
+        unsaid = [each for each in (of_old[4], of_new[4]) if each.any()]
         count = old.shape[1]
-        so_far = 2 * count * max(count, WORTH) * SECONDS_A_PAIR[self._dim]
-        if not is_worth_compiling(so_far):
-            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-                return np.stack(_both_ways(self._module, of_old[0], of_new[0], fixed, side_b))
-        compiled = _compiled(self._module)
-        found = np.empty((2, count))
+        so_far = 2 * self.count * max(count, WORTH) * SECONDS_A_PAIR[self._dim]
+        if unsaid or not is_worth_compiling(so_far):
+            return np.stack([self._in_numpy(t_u, t_v, fixed, side_b, way, unsaid) for way in ways])
+        compiled, at = _compiled(self._module), (np.broadcast_to(t_v, t_u.shape), t_u)
+        found = np.empty((len(ways), count))
         for start in range(0, count, AT_ONCE):
             part = slice(start, min(start + AT_ONCE, count))
-            given = (_padded(table[:, part]) for table in (of_old[0], fixed, side_b))
-            both = compiled(of_new[0], *given)
-            found[:, part] = np.asarray(both)[:, : part.stop - start]
+            given = [_padded(table[:, part]) for table in (t_u, fixed, side_b)]
+            for row, way in zip(found, ways, strict=True):
+                squared = compiled(t_v, _padded(at[way][:, part]), *given)
+                row[part] = np.asarray(squared)[: part.stop - start]
         return found
 
-    def _limits(
-        self, t_u: Any, t_v: Any, fixed: Any, side_b: Any, free_u: Any, free_v: Any
-    ) -> Float[np.ndarray, "2 m"]:
-        """The same where closures leave directions unsaid, as for one gate (`comparable`)."""
+    def _in_numpy(
+        self, t_u: Any, t_v: Any, fixed: Any, side_b: Any, way: int, unsaid: list[np.ndarray]
+    ) -> Float[np.ndarray, " n"]:
+        """q² in one direction; where closures leave directions unsaid as for one gate."""
+        at = (t_v, t_u)[way]
+        u, v, turning, packed = (tuple(each) for each in (t_u, t_v, at, fixed))
         shape = self._dim, self._dim, -1
-        columns = [tuple(one) for side in (free_u, free_v) for one in side.reshape(shape)]
+        columns = [tuple(one) for side in unsaid for one in side.reshape(shape)]
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            found = _both_ways(self._module, t_u, t_v, fixed, side_b, columns)
-        return np.stack([comparable(one.squared, one.freedom, self._dim) for one in found])
+            found = squared_one_way(self._module, u, v, turning, packed, side_b, columns or None)
+        return comparable(found.squared, found.freedom, self._dim) if unsaid else found
 
 
 class _Unsaid(NamedTuple):
@@ -290,11 +349,13 @@ class _One(NamedTuple):
 
     Attributes:
         numbers: what is kept of it: T, Z, C_ii of both maps, unsaid directions; all packed.
+        reach: see `GrowingPair._reach_of`.
         poses: in map a and map b.
         unsaid: whether it leaves directions unsaid.
     """
 
     numbers: Float[np.ndarray, "s 1"]
+    reach: Float[np.ndarray, "r 1"]
     poses: tuple[int, int]
     unsaid: bool
 
@@ -312,21 +373,13 @@ def _twice(blocks: Float[np.ndarray, "m d d"]) -> Float[np.ndarray, "q m"]:
     return (blocks[:, row, column] + blocks[:, column, row]).T
 
 
-def _both_ways(
-    module: Any, t_u: Any, t_v: Any, fixed: Any, side_b: Any, free: Any = None
-) -> tuple[Any, Any]:
-    """q²_uv and q²_vu of closures u and one v."""
-    t_u, t_v, fixed = tuple(t_u), tuple(t_v), tuple(fixed)
-    ways = (t_v, t_u)
-    return tuple(squared_one_way(module, t_u, t_v, at, fixed, side_b, free) for at in ways)  # type: ignore[return-value]
-
-
 @functools.cache
 def _compiled(module: Any) -> Any:
-    def both(t_v: Any, t_u: Any, fixed: Any, side_b: Any) -> Any:
-        return jnp.stack(_both_ways(module, t_u, t_v, fixed, side_b))
+    def one_way(t_v: Any, at: Any, t_u: Any, fixed: Any, side_b: Any) -> Any:
+        u, v, turning, packed = (tuple(entries) for entries in (t_u, t_v, at, fixed))
+        return squared_one_way(module, u, v, turning, packed, side_b)
 
-    return jax.jit(both)
+    return jax.jit(one_way)
 
 
 def _padded(table: Float[np.ndarray, "s m"]) -> Float[np.ndarray, "s AT_ONCE"]:

@@ -112,3 +112,15 @@ def test_closures_that_leave_directions_unsaid(name):
     assert len(np.unique(pair.freedom)) > 2
     _, found = grown(pair)
     np.testing.assert_array_equal(found, pair.consistent(gate_of(pair)))
+
+
+def test_lengths_tell_no_more_apart_than_the_bound(pair):
+    found, _ = grown(pair)
+    told = 0
+    for row in range(1, len(pair)):
+        new, old = found._one(pair.measured[[row]]), found._numbers[:, :row]
+        squared, largest = found._lengths(found._reach[:, :row], new.reach)
+        bound = found._row(old, new, found._bounds(old, new))
+        assert (squared / largest <= bound.min(axis=0) * (1.0 + 1e-9)).all()
+        told += np.count_nonzero(squared > found.gate * largest)
+    assert told > len(pair) * (len(pair) - 1) / 20
