@@ -31,7 +31,7 @@ from pcm_jax.errors import InputError, InputWarning, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import apart, edge_products, linearize
 from pcm_jax.mapping._lost_digits import lost_digits
-from pcm_jax.mapping._odometry import odometry_steps
+from pcm_jax.mapping._odometry import check_steps, odometry_steps
 from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, with_frame
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.mapping.priors import held, priors_of
@@ -86,7 +86,7 @@ class MapCovariance:
         self._lock = threading.Lock()
         self._factor: CholeskyFactor | None = None
         self._trunk: MapCovariance = self
-        self._grown: Float[np.ndarray, "g d d"] = np.zeros((0, self._dim, self._dim))
+        self._summed: Float[np.ndarray, "g d d"] = np.zeros((0, self._dim, self._dim))
         self._held = 0 if priors_of(pose_graph) is None else pose_graph.num_poses
 
     def __reduce__(self) -> Any:
@@ -195,7 +195,7 @@ class MapCovariance:
         if pose > last:
             shared = np.minimum(others, pose) - last
             beyond = shared > 0
-            found[beyond] += self._grown[shared[beyond] - 1]
+            found[beyond] += self._grown()[shared[beyond] - 1]
         return found
 
     def own(self, pose: int) -> Float[np.ndarray, "d d"]:
@@ -209,9 +209,8 @@ class MapCovariance:
         anchor, found = min(pose, last), np.zeros((self._dim, self._dim))
         if anchor != trunk._held:
             found = inverse_own(trunk.factor(), anchor, trunk.adjoint[anchor].T)
-        return found if pose <= last else found + self._grown[pose - last - 1]
+        return found if pose <= last else found + self._grown()[pose - last - 1]
 
-    @on_host
     def extend(self, pose_graph: PoseGraph) -> MapCovariance:
         """The covariance of a map that has grown by steps of odometry from its last pose on.
 
@@ -228,12 +227,20 @@ class MapCovariance:
         Raises:
             InputError: for another map than that: `MapCovariance` then starts anew.
         """
-        own = odometry_steps(self.pose_graph, pose_graph, self.origin)
+        check_steps(self.pose_graph, pose_graph)
         grown = MapCovariance(pose_graph, origin=self.origin)
-        start = self._grown[-1] if len(self._grown) else np.zeros((self._dim, self._dim))
-        grown._trunk = self._trunk
-        grown._grown = np.concatenate([self._grown, start + np.cumsum(own, axis=0)])
+        grown._trunk, grown._summed = self._trunk, self._summed
         return grown
+
+    def _grown(self) -> Float[np.ndarray, "g d d"]:
+        """Sums of the steps since the trunk, left perturbations; computed when first asked."""
+        trunk, known = self._trunk.pose_graph, self._summed
+        if len(known) < self.pose_graph.num_poses - trunk.num_poses:
+            first = trunk.num_poses + len(known), trunk.num_edges + len(known)
+            steps = odometry_steps(self.pose_graph, *first, self.origin)
+            steps[0] += known[-1] if len(known) else 0.0
+            self._summed = np.concatenate([known, np.cumsum(steps, axis=0)])
+        return self._summed
 
     def renamed(self, name: str) -> MapCovariance:
         """The same of a robot that is called otherwise; what is known of it is shared."""

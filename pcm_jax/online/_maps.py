@@ -129,19 +129,21 @@ def checked_part(
     return part
 
 
-def joined(pose_graph: PoseGraph, part: NewPart, room: Room) -> PoseGraph:
+def joined(pose_graph: PoseGraph, part: NewPart, room: Room, poses: Any = None) -> PoseGraph:
     """The map with a new part.
 
     Args:
         pose_graph: the map.
-        part: new poses, where they are given or edges put them, and edges.
+        part: new poses and edges.
         room: for its arrays to grow in.
+        poses: where the new ones are, Lie; None: where they are given or edges put them.
     """
     stamps = pose_graph.stamps
     if stamps is not None or np.isfinite(part.stamps).any():
         before = np.full(pose_graph.num_poses, np.nan) if stamps is None else stamps
         stamps = room.behind("stamps", before, part.stamps)
-    poses = _placed(lie.as_numpy(pose_graph.poses), part) if part.poses is None else part.poses
+    if poses is None:
+        poses = part.poses if part.poses is not None else _placed([pose_graph.poses], part)[0]
     measured = room.transforms_behind("measurement", pose_graph.measurement, part.measurement)
     return dataclasses.replace(
         pose_graph,
@@ -174,8 +176,10 @@ def grown_by(
     Warns:
         ConvergenceWarning: where optimising the map stops before it converges.
     """
-    grown, old = joined(given, new, room), lie.as_numpy(covariance.pose_graph.poses)
-    placed = grown.with_poses(room.transforms_behind("placed", old, _placed(old, new)))
+    old = covariance.pose_graph.poses
+    behind, behind_given = _placed([old, given.poses], new)
+    grown = joined(given, new, room, behind_given if new.poses is None else new.poses)
+    placed = grown.with_poses(room.transforms_behind("placed", old, behind))
     odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
     if odometry:
         return grown, covariance.extend(placed), True
@@ -183,13 +187,23 @@ def grown_by(
     return grown, MapCovariance(optimum, origin=covariance.origin), False
 
 
-def _placed(old: Any, part: NewPart) -> Any:
-    """The new poses where edges put them, each by the first edge that reaches it."""
-    size = len(lie.parameters(old))
+def _placed(old: Sequence[Any], part: NewPart) -> list[Any]:
+    """The new poses where edges put them, each by the first edge that reaches it.
+
+    Args:
+        old: the map's poses, Lie `[n]` each, for any number of places that they have.
+        part: what comes behind them.
+
+    Returns:
+        Lie `[count]` for each.
+    """
+    size = len(lie.parameters(old[0]))
     at: dict[int, Any] = {}
 
     def pose(index: int) -> Any:
-        return lie.take(old, np.array([index])) if index < size else at.get(index)
+        if index >= size:
+            return at.get(index)
+        return lie.as_numpy(lie.concatenate([lie.take(each, np.array([index])) for each in old]))
 
     left = list(range(len(part.tail)))
     while len(at) < part.count:
@@ -206,8 +220,9 @@ def _placed(old: Any, part: NewPart) -> Any:
                 waiting.append(row)
         left = waiting
     if not at:
-        return lie.take(old, np.zeros(0, np.int64))
-    return lie.normalize(lie.concatenate([at[size + k] for k in range(part.count)]))
+        return [lie.take(each, np.zeros(0, np.int64)) for each in old]
+    placed = lie.normalize(lie.concatenate([at[size + k] for k in range(part.count)]))
+    return [lie.take(placed, slice(place, None, len(old))) for place in range(len(old))]
 
 
 def _ends(pose_graph: PoseGraph, part: NewPart) -> list[tuple[np.ndarray, np.ndarray]]:
