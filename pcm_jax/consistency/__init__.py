@@ -14,6 +14,7 @@ _closed_form        the same number without a Jacobian, for all pairs in one vec
 mahalanobis         `squared_mahalanobis`: either of the two, compiled
 _single_precision   what float32 would change
 gate                `chi2_gate`: how large a squared distance two right closures may have
+overstated          `narrowing`: a smaller gate where errors are stated too large
 graph               `consistency_graph`: an edge where a pair passes in both directions
 packed              `PackedGraph`: a graph of one bit a pair
 streaming           all of it for tens of thousands of closures, panel by panel, straight to bits

@@ -11,9 +11,12 @@ the ones that the map so far predicts best:
               twice as wide as that of the best predicted one; then the map is solved with those
               that pass, and what is left is judged by that.
     gate      χ² of each against the map so far, by the covariance of both, see `_innovation`.
+    scale     where those that pass fit far better than stated, the gate is narrower, see
+              `consistency.overstated`: public graphs state errors up to a hundred times too large.
     joint     the χ² of the map rises by less than the quantile of its degrees of freedom. Where it
-              does not, or the solve does not end, the worst leave, of those taken before as well
-              if their own residuals are beyond the gate, and the map is solved again.
+              does not, or the solve does not end, it is solved from another start; then the worst
+              leave, of those taken before as well if their own residuals are beyond the gate, and
+              the map is solved again.
 
 Unlike there nothing is decided for good. In the end every closure of the set is judged in the map
 of all the others, until none enters or leaves (`fitting_edges`).
@@ -30,11 +33,11 @@ from jaxtyping import Bool, Int
 
 from pcm_jax import lie
 from pcm_jax.consistency import chi2_gate
+from pcm_jax.consistency.overstated import narrowing
 from pcm_jax.graph import PoseGraph
 from pcm_jax.graph.split import stretch
-from pcm_jax.mapping import optimize
-from pcm_jax.mapping.least_squares import Solved
-from pcm_jax.mapping.optimization import host_arrays, problem_of
+from pcm_jax.mapping import Solution, optimize
+from pcm_jax.mapping.optimization import host_arrays, optimize_from
 from pcm_jax.merging._innovation import innovation, squared_by_leaving
 from pcm_jax.merging.joint import gone_on
 from pcm_jax.merging.robust.solve import squared_residuals
@@ -81,7 +84,12 @@ def consensus(
 
 
 def fitting_edges(
-    whole: PoseGraph, held: Bool[np.ndarray, " e"], asked: Int[np.ndarray, " k"], gate: float
+    whole: PoseGraph,
+    held: Bool[np.ndarray, " e"],
+    asked: Int[np.ndarray, " k"],
+    gate: float,
+    *,
+    narrow: bool = False,
 ) -> Bool[np.ndarray, " e"]:
     """Marks the edges that fit the map of all the others, until none enters or leaves.
 
@@ -90,14 +98,17 @@ def fitting_edges(
         held: edges that make the first map; those that are not asked for stay.
         asked: edges to be judged one by one, held or not.
         gate: γ² that each must pass.
+        narrow: whether the gate is narrower where those held fit far better than stated.
     """
     first, poses = held[asked], whole.poses
     for _ in range(SOLVES):
-        solved = optimize(whole.with_poses(poses).with_edges(held), initial="given")
+        solved = optimize(whole.with_poses(poses).with_edges(held))
         if not solved.converged:
             break
         poses = solved.graph.poses
-        fits = squared_by_leaving(whole.with_poses(poses), held, asked) <= gate
+        squared = squared_by_leaving(whole.with_poses(poses), held, asked)
+        here = narrowing(squared[held[asked]], gate, whole.tangent_dim) if narrow else 1.0
+        fits = squared <= here * gate
         if (fits & first).sum() < HALF * first.sum():
             break
         settled = bool((fits == held[asked]).all())
@@ -134,7 +145,8 @@ class _Way:
         self.used, self.open = odometry.copy(), candidates.copy()
         self.poses, self.cost = lie.take(lie.as_numpy(chain.poses), slice(0, 1)), 0.0
         self.dim = chain.tangent_dim
-        self.gate = float(chi2_gate(confidence, self.dim))
+        self.gate, self.scale = float(chi2_gate(confidence, self.dim)), 1.0
+        self.passed = np.zeros(0)  # the χ² of those that have, when they were judged
 
     def go(self, upto: int) -> None:
         """Goes on to a pose: judges the closures among those up to it."""
@@ -143,8 +155,11 @@ class _Way:
         while len(asked):
             judged = innovation(here.graph, here.used, asked)
             near = judged.width <= max(WIDE, 2.0 * judged.width.min())
-            passing = asked[near & (judged.squared <= self.gate)]
-            here = self._with(here, passing)
+            seen = np.concatenate([self.passed, judged.squared[near]])
+            self.scale = narrowing(seen, self.gate, self.dim)
+            passes = near & (judged.squared <= self.scale * self.gate)
+            self.passed = np.concatenate([self.passed, judged.squared[passes]])
+            here = self._with(here, asked[passes])
             asked = asked[~near]
         self.open[here.rows], self.used[here.rows] = False, here.used
         self.poses, self.cost = lie.as_numpy(here.graph.poses), here.cost
@@ -161,29 +176,34 @@ class _Way:
         used = here.used.copy()
         used[entering] = True
         while (used != here.used).any():
-            solved = _solved(here.graph, used)
             freedom = self.dim * max(1, int(used.sum()) - int(here.used.sum()))
-            rise = 2.0 * (solved.cost - here.cost)
-            fits = solved.converged and rise <= chi2_gate(self.confidence, freedom)
+            most = here.cost + 0.5 * self.scale * float(chi2_gate(self.confidence, freedom))
+            solved = _solved(here.graph, used, "given")
+            if not solved.converged or solved.cost > most:
+                others = solved, _solved(here.graph, used, "chordal")
+                solved = min(others, key=lambda one: (not one.converged, one.cost))
+            fits = solved.converged and solved.cost <= most
             worst = [] if fits else self._worst(here, used, solved, entering)
             if not len(worst):
-                return _Here(here.graph.with_poses(solved.poses), here.rows, used, solved.cost)
+                return _Here(
+                    here.graph.with_poses(solved.graph.poses), here.rows, used, solved.cost
+                )
             used[worst] = False
         return here
 
     def _worst(
-        self, here: _Here, used: np.ndarray, solved: Solved, entering: np.ndarray
+        self, here: _Here, used: np.ndarray, solved: Solution, entering: np.ndarray
     ) -> Int[np.ndarray, " k"]:
         """The closures that fit worst, of those that entered and those that are strained."""
         doubted = used & ~self.odometry[here.rows]
-        graph = here.graph.with_poses(solved.poses)
+        graph = here.graph.with_poses(solved.graph.poses)
         own = squared_residuals(graph.poses, *host_arrays(graph))
         new = np.isin(np.arange(len(used)), entering)
-        rows = np.flatnonzero(doubted & (new | (own > self.gate)))
+        rows = np.flatnonzero(doubted & (new | (own > self.scale * self.gate)))
         squared = squared_by_leaving(graph, used, rows) if solved.converged else own[rows]
         squared = np.where(np.isfinite(squared) & (squared >= 0.0), squared, np.inf)
         most = squared.max(initial=0.0)
-        least = self.gate if solved.converged else 0.0
+        least = self.scale * self.gate if solved.converged else 0.0
         return rows[(squared > least) & (squared >= WORST * most)]
 
 
@@ -194,5 +214,5 @@ def _stretches(late: Int[np.ndarray, " k"], poses: int) -> list[int]:
     return [*np.unique(ends).tolist(), poses]
 
 
-def _solved(graph: PoseGraph, used: np.ndarray) -> Solved:
-    return problem_of(graph.with_edges(used)).solve(graph.poses, rtol=LOOSE, max_steps=STEPS)
+def _solved(graph: PoseGraph, used: np.ndarray, initial: str) -> Solution:
+    return optimize_from(initial, graph.with_edges(used), rtol=LOOSE, max_steps=STEPS)

@@ -14,6 +14,7 @@ from pcm_jax.merging.consensus import consensus, fitting_edges
 def rechecked(
     whole: PoseGraph,
     kept: Bool[np.ndarray, " e"],
+    core: Bool[np.ndarray, " e"],
     odometry: Bool[np.ndarray, " e"],
     confidence: float,
 ) -> Bool[np.ndarray, " e"]:
@@ -22,6 +23,7 @@ def rechecked(
     Args:
         whole: the map as it was judged, without priors.
         kept: odometry and the closures accepted.
+        core: those of them, without odometry, that the map is made of as it grows.
         odometry: the edges that are never in doubt.
         confidence: of the gate, and of the joint test on the way.
     """
@@ -29,6 +31,6 @@ def rechecked(
     if not asked.any():
         return kept
     alone = optimize(whole.with_edges(odometry)).graph
-    used, grown = consensus(whole.with_poses(alone.poses), odometry, asked, confidence=confidence)
+    used, grown = consensus(whole.with_poses(alone.poses), odometry, core, confidence=confidence)
     gate = float(chi2_gate(confidence, whole.tangent_dim))
-    return fitting_edges(grown, used, np.flatnonzero(asked), gate)
+    return fitting_edges(grown, used, np.flatnonzero(asked), gate, narrow=True)

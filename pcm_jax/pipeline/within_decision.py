@@ -120,7 +120,9 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
     members, whole = kept, _as_judged(pose_graph, odometry, trial.factor)
     judged = time.perf_counter()
     if question.recheck:
-        kept = rechecked(whole, kept, odometry, question.confidence)
+        core = np.zeros(pose_graph.num_edges, bool)
+        core[closures] = trials.core(trial)
+        kept = rechecked(whole, kept, core & kept, odometry, question.confidence)
     checked = time.perf_counter()
     if question.recalls and kept[closures].any():
         kept = with_recalled(whole, kept, odometry, question.confidence)

@@ -18,6 +18,7 @@ from pcm_jax.consistency import (
     with_odometry_errors,
     within_problem,
 )
+from pcm_jax.consistency.overstated import narrowing
 from pcm_jax.graph import PoseGraph
 from pcm_jax.integrity import Places
 from pcm_jax.integrity.odometry import odometry_scale
@@ -113,6 +114,22 @@ class Trials:
         """The set that the method finds among some closures, marked among these."""
         evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
         return choose(evidence, self.asked.gate, method=self.asked.method, **self.asked.options)
+
+    def core(self, trial: Trial) -> Bool[np.ndarray, " m"]:
+        """Marks the largest set of a trial's under a gate that is narrower where they fit too well.
+
+        See `consistency.overstated`.
+        """
+        rows = np.flatnonzero(trial.members)
+        squared, dim = trial.squared[np.ix_(rows, rows)], self.graph.tangent_dim
+        pairs = squared[np.triu_indices(len(rows), 1)]
+        gate = self.asked.gate * narrowing(pairs, self.asked.gate, dim, count=len(rows))
+        if gate == self.asked.gate:
+            return trial.members
+        among = np.flatnonzero((trial.own_squared[rows] <= gate) | (not self.asked.own_loop))
+        evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
+        choice = choose(evidence, gate, method=self.asked.method, **self.asked.options)
+        return _marked(choice, rows[among], len(trial.members))
 
     def _at(self, factor: float, *, fitted: bool) -> Trial:
         start = time.perf_counter()

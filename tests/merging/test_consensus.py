@@ -1,5 +1,6 @@
 """The map as it grows judges closures that agree pair by pair: innovations, stretches, the end."""
 
+import dataclasses
 from typing import Any
 
 import jaxlie
@@ -113,6 +114,19 @@ def test_false_closures_that_agree_with_all_others_leave():
     np.testing.assert_array_equal(found.dropped, alone.accepted & ~found.accepted)
     assert "dropped by recheck" in repr(found)
     assert not alone.dropped.any()
+
+
+def test_errors_stated_three_times_too_large_let_no_false_closure_in():
+    """Under these, false closures agree with nearly all; the right ones say how well all fit."""
+    graph, right, _ = helix(false=30)
+    information = np.asarray(graph.information) / 9.0
+    loose = dataclasses.replace(graph, information=information)
+    kinds = {"minimum_inliers": 2, "recall": False, "time_limit": 5.0}
+    alone = select_within(loose, **kinds)
+    assert (alone.kept & ~right).sum() > 15
+    found = select_within(loose, recheck=True, **kinds)
+    assert not (found.kept & ~right).any()
+    assert (found.kept & right).sum() >= 0.97 * (alone.kept & right).sum()
 
 
 def test_the_order_of_edges_decides_nothing():
