@@ -29,8 +29,12 @@ class Drive(Protocol):
         """Lists what takes in the closures of a graph, one by one, in the order they come in."""
         ...
 
-    def go_on(self, grown: MultiRobotGraph) -> None:
-        """Takes in poses and edges that are new in a graph that has grown."""
+    def go_on(self, grown: MultiRobotGraph) -> Drive:
+        """Takes in poses and edges that are new in a graph that has grown.
+
+        Returns:
+            the drive as it goes on: another one where robots have come to one that was alone.
+        """
         ...
 
     def judged(self, selection: Any) -> dict[str, Any]:
@@ -59,9 +63,10 @@ class Team:
         closures = in_order(graph, order)
         return [functools.partial(self.online.add, closures[[row]]) for row in range(len(closures))]
 
-    def go_on(self, grown: MultiRobotGraph) -> None:
+    def go_on(self, grown: MultiRobotGraph) -> Drive:
         """Does as `Drive` says."""
         _replaced(self.online, grown)
+        return self
 
     def judged(self, selection: Any) -> dict[str, Any]:
         """Does as `Drive` says."""
@@ -82,7 +87,7 @@ class OneRobot:
     """
 
     def __init__(self, graph: MultiRobotGraph, options: dict[str, Any]) -> None:
-        one = graph.maps[0]
+        one, self._options = graph.maps[0], options
         self.online = IncrementalWithin(one.with_edges(odometry_edges(one)), **options)
 
     def arrivals(self, graph: MultiRobotGraph, order: str) -> Sequence[Callable[[], Any]]:
@@ -93,11 +98,11 @@ class OneRobot:
             for row in loops_in_order(one, order)
         ]
 
-    def go_on(self, grown: MultiRobotGraph) -> None:
+    def go_on(self, grown: MultiRobotGraph) -> Drive:
         """Does as `Drive` says."""
         one, *others = grown.maps
         if others:
-            raise InputError(f"robot {others[0].name!r} came, expected one robot as at first")
+            return Team(grown, self._options)
         known = self.online.graph.num_poses
         steps = odometry_edges(one)[known - 1 :]
         if len(steps):
@@ -105,6 +110,7 @@ class OneRobot:
             stamps = None if one.stamps is None else one.stamps[new]
             poses = lie.take(lie.as_numpy(one.poses), new)
             self.online.extend(poses, **_edges(one, steps, ids=one.ids[new], stamps=stamps))
+        return self
 
     def judged(self, selection: Any) -> dict[str, Any]:
         """Does as `Drive` says."""

@@ -34,7 +34,7 @@ def add_stream_options(stream: argparse.ArgumentParser) -> None:
     stream.add_argument(
         "--follow",
         action="store_true",
-        help="when all is read, wait for the files to grow, and go on",
+        help="when all is read, wait for the files to grow, and go on; robots may come",
     )
     stream.add_argument(
         "--patience",

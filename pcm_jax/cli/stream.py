@@ -28,12 +28,13 @@ def run(options: Any) -> None:
     given = graph_to_stream(options).graph
     rule = ("confidence", "minimum_inliers", "significance", "separation", "seed")
     asked = {name: getattr(options, name) for name in rule if getattr(options, name) is not None}
-    drive = OneRobot(given, asked) if len(given.maps) == 1 else Team(given, asked)
+    drive: Drive = OneRobot(given, asked) if len(given.maps) == 1 else Team(given, asked)
     told = _Told(drive, options.json)
     _take_in(told, drive.arrivals(given, options.order), options.every)
     if options.follow:
         for grown in _grown(options, sizes):
-            drive.go_on(grown)
+            drive = drive.go_on(grown)
+            told.of(drive)
             _take_in(told, drive.arrivals(grown, options.order), options.every)
     if options.save:
         drive.online.save(options.save)
@@ -92,6 +93,15 @@ class _Told:
     def __init__(self, drive: Drive, as_json: bool) -> None:
         self._drive, self._json = drive, as_json
         self._accepted: set[int] = set()
+
+    def of(self, drive: Drive) -> None:
+        """Goes on with another drive, if it is one: says so, and that nothing is believed yet."""
+        if drive is self._drive:
+            return
+        self._drive, self._accepted = drive, set()
+        told = {"event": "robots", "robots": list(drive.online.graph.names)}
+        between = f"robots {', '.join(told['robots'])}: closures between them from here on"
+        print(json.dumps(told, ensure_ascii=False) if self._json else between, flush=True)
 
     def changes(self) -> None:
         """Prints a line if other closures are believed than before."""

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from pcm_jax.cli._drives import OneRobot, in_order, loops_in_order
+from pcm_jax.cli._drives import OneRobot, Team, in_order, loops_in_order
 from pcm_jax.errors import InputError
 from pcm_jax.files import read_graph, write_g2o
 from pcm_jax.graph import MultiRobotGraph
@@ -86,6 +86,30 @@ def test_follows_a_file_that_grows(city, tmp_path):
     assert process.returncode == 0
     assert end["closures"] == len(graph.closures)
     assert end["accepted"] == int(select(graph).accepted.sum())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_robot_that_comes_makes_a_team(city, tmp_path, as_json):
+    graph = read_graph(city / "graph.g2o")
+    path = tmp_path / "growing.g2o"
+    write_g2o(path, dataclasses.replace(graph, maps=graph.maps[:1], closures=graph.closures[:0]))
+    options = ["--follow", "--patience", "8", *["--json"] * as_json]
+    command = [sys.executable, "-m", "pcm_jax", "stream", str(path), *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        time.sleep(4.0)
+        path.write_text((city / "graph.g2o").read_text())
+        out, _ = process.communicate(timeout=100)
+    assert process.returncode == 0
+    if not as_json:
+        assert "robots a, b: closures between them from here on" in out.splitlines()
+        return
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert [one for one in lines if one["event"] == "robots"] == [
+        {"event": "robots", "robots": ["a", "b"]}
+    ]
+    assert lines[-1]["closures"] == len(graph.closures)
+    assert lines[-1]["accepted"] == int(select(graph).accepted.sum())
 
 
 @pytest.mark.parametrize(
@@ -184,11 +208,12 @@ def test_one_robots_file_that_grows(one_robot):
     for arrives in drive.arrivals(MultiRobotGraph((begun,)), "lines"):
         arrives()
     before = len(drive.online)
-    drive.go_on(graph)
+    assert drive.go_on(graph) is drive
     for arrives in drive.arrivals(graph, "lines"):
         arrives()
     batch = select_within(one_robot)
     assert (drive.online.repeated, len(drive.online)) == (before, len(batch.closures))
     assert drive.online.result().accepted.sum() == batch.accepted.sum()
-    with pytest.raises(InputError, match="robot 'b' came, expected one robot"):
-        drive.go_on(MultiRobotGraph((one_robot, dataclasses.replace(one_robot, name="b"))))
+    other = dataclasses.replace(one_robot, name="b")
+    team = drive.go_on(MultiRobotGraph((one_robot, other)))
+    assert isinstance(team, Team) and len(team.online) == 0
