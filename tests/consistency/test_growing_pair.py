@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pcm_jax import lie
 from pcm_jax.consistency import GrowingPair, chi2_gate
+from pcm_jax.graph import MultiRobotGraph
+from pcm_jax.lie import unrolled
 from pcm_jax.mapping import MapCovariance
 from pcm_jax.pipeline import weigh
 from pcm_jax.simulation import simulate_city, simulate_sessions
@@ -124,3 +127,45 @@ def test_lengths_tell_no_more_apart_than_the_bound(pair):
         assert (squared / largest <= bound.min(axis=0) * (1.0 + 1e-9)).all()
         told += np.count_nonzero(squared > found.gate * largest)
     assert told > len(pair) * (len(pair) - 1) / 20
+
+
+def test_lengths_hold_for_errors_that_add_up(pair):
+    """Map b's errors of one kind each, a turn that moves a place along with or against its own."""
+    found, generator = GrowingPair(pair.covariances, gate_of(pair)), np.random.default_rng(0)
+    group, dim, count = pair.measured.group, pair.measured.tangent_dim, 4000
+    row, column = np.transpose(unrolled.packed_indices(dim))
+    tangent: Any = 3.0 * generator.standard_normal((count, dim))
+    placed: Any = lie.as_numpy(lie.exp(group, tangent))
+    kind = generator.standard_normal((count, dim)) * np.where(np.arange(dim) < dim / 2, 2.0, 1.0)
+    numbers = np.zeros((len(found._numbers), count))
+    numbers[found._parts[0]] = lie.parameters(placed).T
+    numbers[found._parts[3]] = (kind[:, row] * kind[:, column]).T
+    reach = found._reach_of(numbers)
+    u, v = np.arange(count // 2), np.arange(count // 2, count)
+    squared, largest = found._lengths(reach[:, u], reach[:, v])
+    apart = lie.translation(lie.compose(lie.take(placed, v), lie.inverse(lie.take(placed, u))))
+    np.testing.assert_allclose(squared, np.sum(apart**2, axis=1))
+    space, length = apart.shape[1], np.linalg.norm(lie.translation(placed), axis=1)
+    nearer = np.where(length[u] < length[v], u, v)
+    turned = np.asarray(lie.adjoint(lie.take(placed, nearer)))[:, :space]
+    moved = [np.einsum("eij,ej->ei", turned, kind[side]) for side in (u, v)]
+    block = 2.0 * sum(each[:, :, None] * each[:, None, :] for each in moved)
+    ratio = np.linalg.eigvalsh(block)[:, -1] / largest
+    assert 0.7 < ratio.max() <= 1.0 + 1e-9
+
+
+def test_maps_known_for_certain(pair):
+    """Bounds are then the distances themselves."""
+    maps = [
+        dataclasses.replace(one, information=1e12 * np.asarray(one.information))
+        for one in (each.pose_graph for each in pair.covariances)
+    ]
+    closures = pair.measured
+    graph = MultiRobotGraph(tuple(maps), closures)
+    whole: Any = weigh(graph, optimized=True).pairs[0]
+    gate = float(np.quantile(whole.squared[np.triu_indices(len(closures), 1)], 0.4))
+    found = GrowingPair(whole.covariances, gate)
+    for row in range(len(closures)):
+        agrees = found.agreeing(closures[[row]])
+        np.testing.assert_array_equal(agrees, whole.consistent(gate)[row, :row])
+        found.append()

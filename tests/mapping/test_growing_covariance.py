@@ -96,6 +96,14 @@ def test_odometry_changes_nothing_before_it_and_adds_its_own(world):
     np.testing.assert_array_equal(columns_of(twice, old), columns_of(before, old))
 
 
+def test_what_is_asked_on_the_way_changes_nothing(world):
+    before, longer = MapCovariance(world), grown(world, 5, backward=(1, 3))
+    one, poses = before.extend(grown(world, 2, backward=(1,))), np.array([7, 70, 71, 72, 74])
+    expected = columns_of(one.extend(longer), poses)
+    one.own(71)
+    np.testing.assert_array_equal(columns_of(one.extend(longer), poses), expected)
+
+
 def test_a_map_of_one_pose_grows(world):
     one = dataclasses.replace(
         world.with_edges(np.zeros(world.num_edges, bool)),
