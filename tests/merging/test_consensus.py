@@ -149,6 +149,9 @@ def test_a_closure_that_fits_worse_than_all_others_leaves_in_the_end():
     assert fitting_edges(loose, held, asked, gate).all()
     left = fitting_edges(loose, held, asked, gate, narrow=True)
     assert np.flatnonzero(~left).tolist() == [edge]
+    kinds = {"minimum_inliers": 2, "recall": False, "time_limit": 5.0}
+    assert select_within(loose, **kinds).kept[edge]
+    assert not select_within(loose, recheck=True, **kinds).kept[edge]
 
 
 def test_a_map_that_went_astray_starts_anew():
@@ -157,7 +160,7 @@ def test_a_map_that_went_astray_starts_anew():
     odometry = odometry_of(graph)
     way = _Way(graph, odometry, ~odometry, CONFIDENCE)
     here = way._up_to(graph.num_poses)
-    drawn: Any = 2.0 * np.random.default_rng(0).standard_normal((graph.num_poses, 6))
+    drawn: Any = 50.0 * np.random.default_rng(0).standard_normal((graph.num_poses, 6))
     heap = lie.exp(jaxlie.SE3, drawn)
     astray = here._replace(graph=here.graph.with_poses(heap))
     assert way._with(astray, np.flatnonzero(~odometry)).used.all()
