@@ -81,7 +81,10 @@ def select_within(
             `integrity.places`; by default as there.
         recheck: whether the map judges each closure of the largest set as it grows, and those that
             it contradicts leave. For odometry so uncertain that closures far apart agree whatever
-            they say, as in most public graphs in space; takes 2 to 40 ms a closure.
+            they say, as in most public graphs in space; takes 2 to 40 ms a closure. Where most of
+            the set fits far better than stated its gates are narrower, `consistency.overstated`:
+            of two sensors of which one, the busier, states errors a hundred times too large, most
+            closures of the other leave; of ten times too large none.
         recall: whether closures that the largest set leaves out come back where the map that it
             makes agrees with them; None: with "chance" and `own_loop`.
         time_limit: seconds for the method, if it has the option: 60 by default, `math.inf` for any

@@ -129,6 +129,19 @@ def test_errors_stated_three_times_too_large_let_no_false_closure_in():
     assert (found.kept & right).sum() >= 0.97 * (alone.kept & right).sum()
 
 
+def test_a_sensor_that_overstates_its_errors_drives_none_of_another_out():
+    """Six in ten closures state errors ten times too large."""
+    graph, _, _ = helix(false=0)
+    closures = np.flatnonzero(~odometry_of(graph))
+    loose = closures[np.random.default_rng(0).random(len(closures)) < 0.6]
+    information = np.array(graph.information)
+    information[loose] /= 100.0
+    graph = dataclasses.replace(graph, information=information)
+    kinds = {"minimum_inliers": 2, "recall": False, "time_limit": 5.0}
+    alone, found = (select_within(graph, recheck=recheck, **kinds) for recheck in (False, True))
+    np.testing.assert_array_equal(found.kept, alone.kept)
+
+
 def test_a_closure_that_fits_worse_than_all_others_leaves_in_the_end():
     """Off by three deviations of its test as stated, which are nine of those that errors have."""
     graph, _, _ = helix(false=0)
