@@ -89,6 +89,7 @@ def fitting_edges(
     asked: Int[np.ndarray, " k"],
     gate: float,
     *,
+    initial: str = "given",
     narrow: bool = False,
 ) -> Bool[np.ndarray, " e"]:
     """Marks the edges that fit the map of all the others, until none enters or leaves.
@@ -98,11 +99,12 @@ def fitting_edges(
         held: edges that make the first map; those that are not asked for stay.
         asked: edges to be judged one by one, held or not.
         gate: γ² that each must pass.
+        initial: where each map is solved from, as for `optimize`.
         narrow: whether the gate is narrower where those held fit far better than stated.
     """
     first, poses = held[asked], whole.poses
     for _ in range(SOLVES):
-        solved = optimize(whole.with_poses(poses).with_edges(held))
+        solved = optimize(whole.with_poses(poses).with_edges(held), initial=initial)
         if not solved.converged:
             break
         poses = solved.graph.poses

@@ -33,4 +33,5 @@ def rechecked(
     alone = optimize(whole.with_edges(odometry)).graph
     used, grown = consensus(whole.with_poses(alone.poses), odometry, core, confidence=confidence)
     gate = float(chi2_gate(confidence, whole.tangent_dim))
-    return fitting_edges(grown, used, np.flatnonzero(asked), gate, narrow=True)
+    rows = np.flatnonzero(asked)
+    return fitting_edges(grown, used, rows, gate, initial="chordal", narrow=True)

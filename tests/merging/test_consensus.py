@@ -219,7 +219,7 @@ def test_each_closure_that_stays_fits_the_map_of_the_others():
     used, grown = consensus(graph, odometry, ~odometry, confidence=CONFIDENCE)
     gate = float(chi2_gate(CONFIDENCE, graph.tangent_dim))
     asked = np.flatnonzero(~odometry)
-    held = fitting_edges(grown, used, asked, gate)
+    held = fitting_edges(grown, used, asked, gate, initial="chordal")
     solved = optimize(grown.with_edges(held), initial="given").graph
     squared = innovation(grown.with_poses(solved.poses), held, asked).squared
     np.testing.assert_array_equal(squared <= gate, held[asked])
