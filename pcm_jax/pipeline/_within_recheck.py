@@ -1,4 +1,8 @@
-"""The closures of the largest set that the map which they make contradicts, see `consensus`."""
+"""The closures of the largest set that the map which they make contradicts, see `consensus`.
+
+Where the set fits far better than stated, the map grows by those of it that agree under a gate as
+much narrower (`Trials.core`, `consistency.overstated`); in the end all of them are judged.
+"""
 
 from __future__ import annotations
 
