@@ -41,7 +41,7 @@ from pcm_jax.graph.unsaid import noise_of
 from pcm_jax.lie import unrolled
 from pcm_jax.mapping import MapCovariance
 
-AT_ONCE = 1024
+AT_ONCE = 256
 """Closures that a compiled row is padded to: one program serves any number of them."""
 SMALLEST = 64
 """Closures that there is room for at first; then twice as many, again and again."""
