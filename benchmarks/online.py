@@ -43,6 +43,8 @@ from pcm_jax.store import Store, digest
 
 LOOPS = 6
 """Loops that close one after another, of which the first is not counted."""
+WARMING = 50
+"""Closures that compile what there is to compile: most of a few are told apart without."""
 COLUMNS = {
     "value": "figure",
     "own": "of the process",
@@ -104,7 +106,7 @@ def _warmed(graph: MultiRobotGraph) -> MultiRobotGraph:
     """The maps alone, after their first closures have compiled what there is to compile."""
     alone = dataclasses.replace(graph, closures=LoopClosures.empty(graph.group))
     first = IncrementalPcm(alone)
-    for row in range(3):
+    for row in range(WARMING):
         first.add(graph.closures[[row]])
     return alone
 
