@@ -99,9 +99,7 @@ class _Told:
         if drive is self._drive:
             return
         self._drive, self._accepted = drive, set()
-        told = {"event": "robots", "robots": list(drive.online.graph.names)}
-        between = f"robots {', '.join(told['robots'])}: closures between them from here on"
-        print(json.dumps(told, ensure_ascii=False) if self._json else between, flush=True)
+        self._print({"event": "robots", "robots": list(drive.online.graph.names)})
 
     def changes(self) -> None:
         """Prints a line if other closures are believed than before."""
@@ -129,11 +127,16 @@ class _Told:
             "waiting": len(self._drive.online.waiting),
             "repeated": self._drive.online.repeated,
         }
+        self._print(told)
+
+    def _print(self, told: dict[str, Any]) -> None:
         text = json.dumps(told, ensure_ascii=False) if self._json else _in_words(told)
         print(text, flush=True)
 
 
 def _in_words(told: dict[str, Any]) -> str:
+    if told["event"] == "robots":
+        return f"robots {', '.join(told['robots'])}: closures between them from here on"
     where, why = _of_robots(told)
     believed = f"{told['closures']} closures, {told['accepted']} believed"
     if told["event"] == "changed":

@@ -179,10 +179,8 @@ class GrowingPair:
     def keep(self, slots: Bool[np.ndarray, " m"], other: GrowingPair) -> None:
         """Takes what `other` holds of some closures for what is held of them here."""
         rows = np.flatnonzero(slots)
-        self._numbers[:, rows], self._reach[:, rows] = (
-            other._numbers[:, rows],
-            other._reach[:, rows],
-        )
+        self._numbers[:, rows] = other._numbers[:, rows]
+        self._reach[:, rows] = other._reach[:, rows]
 
     def copy(self) -> GrowingPair:
         """Copies the state; until one of the two has room to make, tables are shared.

@@ -109,8 +109,8 @@ def fitting_edges(
             break
         poses = solved.graph.poses
         squared = squared_by_leaving(whole.with_poses(poses), held, asked)
-        here = narrowing(squared[held[asked]], gate, whole.tangent_dim) if narrow else 1.0
-        fits = squared <= here * gate
+        factor = narrowing(squared[held[asked]], gate, whole.tangent_dim) if narrow else 1.0
+        fits = squared <= factor * gate
         if (fits & first).sum() < HALF * first.sum():
             break
         settled = bool((fits == held[asked]).all())

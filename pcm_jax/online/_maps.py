@@ -136,14 +136,16 @@ def joined(pose_graph: PoseGraph, part: NewPart, room: Room, poses: Any = None) 
         pose_graph: the map.
         part: new poses and edges.
         room: for its arrays to grow in.
-        poses: where the new ones are, Lie; None: where they are given or edges put them.
+        poses: where edges put the new ones, Lie, where that is known and they are not given.
     """
     stamps = pose_graph.stamps
     if stamps is not None or np.isfinite(part.stamps).any():
         before = np.full(pose_graph.num_poses, np.nan) if stamps is None else stamps
         stamps = room.behind("stamps", before, part.stamps)
-    if poses is None:
-        poses = part.poses if part.poses is not None else _placed([pose_graph.poses], part)[0]
+    if part.poses is not None:
+        poses = part.poses
+    elif poses is None:
+        (poses,) = _placed([pose_graph.poses], part)
     measured = room.transforms_behind("measurement", pose_graph.measurement, part.measurement)
     return dataclasses.replace(
         pose_graph,
@@ -178,7 +180,7 @@ def grown_by(
     """
     old = covariance.pose_graph.poses
     behind, behind_given = _placed([old, given.poses], new)
-    grown = joined(given, new, room, behind_given if new.poses is None else new.poses)
+    grown = joined(given, new, room, behind_given)
     placed = grown.with_poses(room.transforms_behind("placed", old, behind))
     odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
     if odometry:

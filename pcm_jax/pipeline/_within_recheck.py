@@ -31,11 +31,8 @@ def rechecked(
         odometry: the edges that are never in doubt.
         confidence: of the gate, and of the joint test on the way.
     """
-    asked = kept & ~odometry
-    if not asked.any():
-        return kept
     alone = optimize(whole.with_edges(odometry)).graph
     used, grown = consensus(whole.with_poses(alone.poses), odometry, core, confidence=confidence)
     gate = float(chi2_gate(confidence, whole.tangent_dim))
-    rows = np.flatnonzero(asked)
-    return fitting_edges(grown, used, rows, gate, initial="chordal", narrow=True)
+    asked = np.flatnonzero(kept & ~odometry)
+    return fitting_edges(grown, used, asked, gate, initial="chordal", narrow=True)

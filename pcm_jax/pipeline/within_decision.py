@@ -119,7 +119,7 @@ def decided(pose_graph: PoseGraph, question: Question, trials_of: TrialsOf) -> W
     kept[closures] = trial.members & verdict.believed
     members, whole = kept, _as_judged(pose_graph, odometry, trial.factor)
     judged = time.perf_counter()
-    if question.recheck:
+    if question.recheck and kept[closures].any():
         core = np.zeros(pose_graph.num_edges, bool)
         core[closures] = trials.core(trial)
         kept = rechecked(whole, kept, core & kept, odometry, question.confidence)

@@ -112,31 +112,38 @@ class Trials:
         self, factor: float, squared: Float[np.ndarray, "m m"], among: Int[np.ndarray, " n"]
     ) -> Choice:
         """The set that the method finds among some closures, marked among these."""
-        evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
-        return choose(evidence, self.asked.gate, method=self.asked.method, **self.asked.options)
+        return self._chosen(squared, among, self.asked.gate)
 
     def core(self, trial: Trial) -> Bool[np.ndarray, " m"]:
         """Marks the largest set of a trial's under a gate that is narrower where they fit too well.
 
         See `consistency.overstated`.
         """
-        rows = np.flatnonzero(trial.members)
-        squared, dim = trial.squared[np.ix_(rows, rows)], self.graph.tangent_dim
-        pairs = squared[np.triu_indices(len(rows), 1)]
+        rows, dim = np.flatnonzero(trial.members), self.graph.tangent_dim
+        pairs = trial.squared[np.ix_(rows, rows)][np.triu_indices(len(rows), 1)]
         gate = self.asked.gate * narrowing(pairs, self.asked.gate, dim, count=len(rows))
         if gate == self.asked.gate:
             return trial.members
-        among = np.flatnonzero((trial.own_squared[rows] <= gate) | (not self.asked.own_loop))
+        among = np.flatnonzero(trial.members & self._agree_with_odometry(trial.own_squared, gate))
+        choice = self._chosen(trial.squared, among, gate)
+        return _marked(choice, among, len(trial.members))
+
+    def _chosen(
+        self, squared: Float[np.ndarray, "m m"], among: Int[np.ndarray, " n"], gate: float
+    ) -> Choice:
         evidence = PairEvidence.from_squared(squared[np.ix_(among, among)])
-        choice = choose(evidence, gate, method=self.asked.method, **self.asked.options)
-        return _marked(choice, rows[among], len(trial.members))
+        return choose(evidence, gate, method=self.asked.method, **self.asked.options)
+
+    def _agree_with_odometry(
+        self, own_squared: Float[np.ndarray, " m"], gate: float
+    ) -> Bool[np.ndarray, " m"]:
+        return (own_squared <= gate) | (not self.asked.own_loop)
 
     def _at(self, factor: float, *, fitted: bool) -> Trial:
         start = time.perf_counter()
         squared, own_squared = self.distances(factor)
         self.measuring += time.perf_counter() - start
-        agreeing = (own_squared <= self.asked.gate) | (not self.asked.own_loop)
-        among = np.flatnonzero(agreeing)
+        among = np.flatnonzero(self._agree_with_odometry(own_squared, self.asked.gate))
         choice = self.largest(factor, squared, among)
         members = _marked(choice, among, len(squared))
         return Trial(factor, fitted, squared, own_squared, choice, members)
