@@ -47,7 +47,7 @@ from pcm_jax.errors import InputError
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping import optimize
 from pcm_jax.mapping._linearization import linearize
-from pcm_jax.mapping.covariance import covariance_factor
+from pcm_jax.mapping.covariance_factor import covariance_factor
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
 

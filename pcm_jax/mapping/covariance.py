@@ -18,24 +18,19 @@ import copy
 import dataclasses
 import functools
 import threading
-import warnings
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float, Int
 
 from pcm_jax import lie
 from pcm_jax.arrays import as_array, on_host
-from pcm_jax.errors import InputError, InputWarning, check_class
+from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import PoseGraph
-from pcm_jax.mapping._linearization import apart, edge_products, linearize
-from pcm_jax.mapping._lost_digits import lost_digits
 from pcm_jax.mapping._odometry import check_steps, odometry_steps
-from pcm_jax.mapping.least_squares import Framed, padded_edges, padded_size, with_frame
-from pcm_jax.mapping.optimization import host_arrays
-from pcm_jax.mapping.priors import held, priors_of
-from pcm_jax.sparse.cholesky import CholeskyFactor, NotPositiveDefiniteError
+from pcm_jax.mapping.covariance_factor import covariance_factor
+from pcm_jax.mapping.priors import priors_of
+from pcm_jax.sparse.cholesky import CholeskyFactor
 from pcm_jax.sparse.inverse import (
     inverse_block,
     inverse_column,
@@ -43,13 +38,10 @@ from pcm_jax.sparse.inverse import (
     inverse_diagonal,
     inverse_own,
 )
-from pcm_jax.sparse.system import system_for
 
 SIDES = ("right", "left")
-LOST = 1e-3
-"""Share of a covariance that rounding may take without a word."""
-COMPILED_FROM = 8192
-"""Edges: up to here NumPy linearises sooner than JAX compiles."""
+LOOPS_SINCE = 5
+"""Loops for which an older factor serves (`known`): more take longer than a new one."""
 
 
 class MapCovariance:
@@ -86,6 +78,7 @@ class MapCovariance:
         self._lock = threading.Lock()
         self._factor: CholeskyFactor | None = None
         self._trunk: MapCovariance = self
+        self._past: MapCovariance = self
         self._summed: Float[np.ndarray, "g d d"] = np.zeros((0, self._dim, self._dim))
         self._held = 0 if priors_of(pose_graph) is None else pose_graph.num_poses
 
@@ -232,6 +225,23 @@ class MapCovariance:
         grown._trunk, grown._summed = self._trunk, self._summed
         return grown
 
+    def followed_by(self, pose_graph: PoseGraph) -> MapCovariance:
+        """The covariance of the map at another optimum, with the edges it had and some behind."""
+        after, known = MapCovariance(pose_graph, origin=self.origin), self.known
+        before = known.pose_graph
+        poses, edges = after.pose_graph.num_poses, after.pose_graph.num_edges
+        if edges - before.num_edges - (poses - before.num_poses) < LOOPS_SINCE:
+            after._past = known
+        return after
+
+    @property
+    def known(self) -> MapCovariance:
+        """The latest covariance of this map whose factor is made; the last one, if none has.
+
+        Not of steps of odometry (`extend`), which need no factor.
+        """
+        return self._trunk._past
+
     def _grown(self) -> Float[np.ndarray, "g d d"]:
         """Sums of the steps since the trunk, left perturbations; computed when first asked."""
         trunk, known = self._trunk.pose_graph, self._summed
@@ -253,6 +263,7 @@ class MapCovariance:
         with self._lock:
             if self._factor is None:
                 self._factor = covariance_factor(self.pose_graph)
+                self._past = self  # a factor of its own is nearer, and the other memory
             return self._factor
 
     @property
@@ -329,58 +340,3 @@ def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
     if (count > 1).any():
         raise InputError(f"poses: {values[count > 1][0]} given twice, expected each pose once")
     return poses.astype(np.int64)
-
-
-@on_host
-def covariance_factor(graph: PoseGraph) -> CholeskyFactor:
-    """The factor of H, whose inverse is the covariance of all poses but the first.
-
-    The first pose, which is held, has an identity block and is tied to none. With priors that is a
-    last pose, their frame.
-
-    Raises:
-        InputError: for a singular map.
-    """
-    priors = held(graph)
-    first = (np.arange(graph.num_poses) == 0) & (priors is None)
-    problem = Framed(*host_arrays(graph), first)
-    problem = problem if priors is None else problem.with_priors(priors)
-    *edges, fixed = problem
-    poses = with_frame(graph.poses, len(fixed))
-    products = _edge_information(poses, *edges)
-    system = system_for(len(fixed), problem.tail, problem.head, fixed, graph.tangent_dim)
-    try:
-        factor = system.factorize(products)
-    except NotPositiveDefiniteError as error:
-        raise InputError(
-            f"pose_graph {graph.name!r}: its information is singular: some pose is tied to the"
-            " first one by measurements of almost no weight"
-        ) from error
-    lost = lost_digits(factor, products, np.stack([problem.tail, problem.head]), ~fixed)
-    if lost > LOST:
-        warnings.warn(
-            InputWarning(
-                f"map {graph.name!r}: the information of its edges spans so many orders of"
-                f" magnitude that covariances are right to about {lost:.1g} of their value only"
-            ),
-            stacklevel=2,
-        )
-    return factor
-
-
-def _edge_information(poses: Any, *edges: Any) -> Float[np.ndarray, "3 e d d"]:
-    """JᵀJ of every edge's two poses: a small map's in NumPy, a large one's compiled and padded."""
-    poses, count = lie.as_numpy(poses), len(edges[0])
-    if count < COMPILED_FROM:
-        return _products(poses, padded_edges(*edges, size=count))
-    size = padded_size(lie.parameters(poses).shape[0], count)
-    padded = padded_edges(*edges, size=size)
-    return np.asarray(_compiled_products(lie.pad_leading(poses, size), padded))
-
-
-def _products(poses: Any, edges: Any) -> Any:
-    residual, by_tail, by_head = linearize(poses, edges)
-    return apart(edges.tail[0] >= 0, edge_products, by_tail, by_head, residual).products
-
-
-_compiled_products = jax.jit(_products)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -16,8 +17,14 @@ from pcm_jax.graph import PoseGraph, checked
 from pcm_jax.graph.spanning_tree import check_connected
 from pcm_jax.graph.validation import argument_fault, as_indices, check_self_loops, raise_first
 from pcm_jax.mapping import MapCovariance
+from pcm_jax.mapping.first_order import first_step
+from pcm_jax.mapping.least_squares import RTOL
+from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.online._room import Room
 from pcm_jax.pipeline.weigh import optimized_maps
+
+SHARE = 0.1
+"""Of the tolerance at which `optimize` stops: what further steps may still change."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,8 +192,30 @@ def grown_by(
     odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
     if odometry:
         return grown, covariance.extend(placed), True
-    optimum = grown if settled else optimized_maps((placed,), False, initial="given")[0]
-    return grown, MapCovariance(optimum, origin=covariance.origin), False
+    optimum = grown if settled else _at_optimum(covariance, given.num_edges, placed)
+    return grown, covariance.followed_by(optimum), False
+
+
+def _at_optimum(covariance: MapCovariance, before: int, placed: PoseGraph) -> PoseGraph:
+    """A map at its optimum, from where it is.
+
+    One step by the factor of before and one of Gauss-Newton, where the latter changes the cost by
+    so much less than the former that further ones, changing it less and less in the same ratio,
+    would be within the tolerance at which `optimize` stops; else as many as that takes.
+    """
+    step = None
+    with contextlib.suppress(InputError):  # of a singular map, which tells when it is asked
+        step = first_step(covariance.known, before, placed)
+    if step is not None:
+        problem = problem_of(placed)
+        cost = problem.cost(placed.poses)
+        solved = problem.solve(step, max_steps=2)
+        first, second = cost - solved.initial_cost, abs(solved.initial_cost - solved.cost)
+        if solved.cost < cost:
+            placed = placed.with_poses(solved.poses)
+        if second < first and second**2 / (first - second) <= SHARE * RTOL * solved.cost:
+            return placed
+    return optimized_maps((placed,), False, initial="given")[0]
 
 
 def _placed(old: Sequence[Any], part: NewPart) -> list[Any]:
