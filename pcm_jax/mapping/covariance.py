@@ -28,6 +28,7 @@ from pcm_jax.arrays import as_array, on_host
 from pcm_jax.errors import InputError, check_class
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._odometry import check_steps, odometry_steps
+from pcm_jax.mapping._pair_covariances import pair_covariances
 from pcm_jax.mapping.covariance_factor import covariance_factor
 from pcm_jax.mapping.priors import priors_of
 from pcm_jax.sparse.cholesky import CholeskyFactor
@@ -38,8 +39,11 @@ from pcm_jax.sparse.inverse import (
     inverse_diagonal,
     inverse_own,
 )
+from pcm_jax.sparse.selected import Selected
 
 SIDES = ("right", "left")
+MANY_POSES = 512
+"""Poses from which one pass over the whole factor takes less than theirs (`Selected`)."""
 LOOPS_SINCE = 5
 """Loops for which an older factor serves (`known`): more take longer than a new one."""
 
@@ -139,8 +143,47 @@ class MapCovariance:
         covariance = np.zeros((len(wanted), d, d))
         if len(free):
             right = self._right(wanted[free], side)
-            covariance[free] = inverse_diagonal(self.factor(), wanted[free], right)
+            covariance[free] = self._own_blocks(wanted[free], right)
         return covariance
+
+    def _own_blocks(self, poses: np.ndarray, right: np.ndarray | None) -> np.ndarray:
+        if len(poses) < MANY_POSES:
+            return inverse_diagonal(self.factor(), poses, right)
+        blocks = Selected(self.factor()).pairs(poses, poses)
+        return blocks if right is None else right.swapaxes(1, 2) @ blocks @ right
+
+    @on_host
+    def pairs(
+        self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]
+    ) -> Float[np.ndarray, "k 2*d 2*d"]:
+        """The joint covariance of two poses, for each of many pairs; right perturbations.
+
+        Pairs that edges of the map join take together about what a factorisation takes; the others
+        are found in the joint covariances of some poses at a time.
+
+            covariance.pairs(graph.tail, graph.head)
+
+        Args:
+            first, second: `[k]` indices; a pose may occur in any number of pairs.
+
+        Returns:
+            `[k, 2 d, 2 d]`; zero where the first pose of the map is concerned, if it is held.
+
+        Raises:
+            InputError: as `joint`; for a pair of one pose with itself.
+        """
+        size = self.pose_graph.num_poses
+        given = (("first", first), ("second", second))
+        ends = [_check_indices(as_array(poses, name), size, name) for name, poses in given]
+        if len(ends[0]) != len(ends[1]):
+            raise InputError(
+                f"second: {len(ends[1])} poses given, expected {len(ends[0])} as in first"
+            )
+        tail, head = ends
+        if (tail == head).any():
+            at = int(np.argmax(tail == head))
+            raise InputError(f"second[{at}]: {head[at]} given, expected another pose than first's")
+        return pair_covariances(self, self._held, tail, head)
 
     @on_host
     def columns(self, poses: Int[np.ndarray, " c"], *, side: str = "right") -> CovarianceColumns:
@@ -273,7 +316,7 @@ class MapCovariance:
     def _checked(self, poses: Any, side: str) -> Int[np.ndarray, " k"]:
         if side not in SIDES:
             raise InputError(f"side: {side!r} given, expected one of {', '.join(SIDES)}")
-        return _check_indices(as_array(poses, "poses"), self.pose_graph.num_poses)
+        return _check_once(_check_indices(as_array(poses, "poses"), self.pose_graph.num_poses))
 
     def _right(self, poses: np.ndarray, side: str) -> Float[np.ndarray, "k d d"] | None:
         """Right-hand sides: Ad(X)ᵀ for left perturbations, identities (None) for right ones."""
@@ -327,16 +370,20 @@ def joint_marginal_covariance(
     return MapCovariance(pose_graph).joint(poses)
 
 
-def _check_indices(poses: np.ndarray, size: int) -> np.ndarray:
+def _check_indices(poses: np.ndarray, size: int, name: str = "poses") -> np.ndarray:
     if poses.ndim != 1 or not np.issubdtype(poses.dtype, np.integer):
         raise InputError(
-            f"poses: shape {poses.shape}, dtype {poses.dtype} given, expected integers [k]"
+            f"{name}: shape {poses.shape}, dtype {poses.dtype} given, expected integers [k]"
         )
     outside = np.flatnonzero((poses < 0) | (poses >= size))
     if len(outside):
         at = outside[0]
-        raise InputError(f"poses[{at}]: {poses[at]} given, expected 0 … {size - 1}")
+        raise InputError(f"{name}[{at}]: {poses[at]} given, expected 0 … {size - 1}")
+    return poses.astype(np.int64)
+
+
+def _check_once(poses: np.ndarray) -> np.ndarray:
     values, count = np.unique(poses, return_counts=True)
     if (count > 1).any():
         raise InputError(f"poses: {values[count > 1][0]} given twice, expected each pose once")
-    return poses.astype(np.int64)
+    return poses

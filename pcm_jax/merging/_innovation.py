@@ -11,7 +11,7 @@ Of what the map of the others predicts and the edge states together, the standar
 |I + P|^(1/2d) or |I − P|^(−1/2d) times those that the edge states, in the geometric mean: the width
 of the test. The wider it is, the less it says.
 
-Host; one factorisation, and the joint covariances of the edges' poses, in panels.
+Host; one factorisation, and the joint covariances of the edges' poses.
 """
 
 from __future__ import annotations
@@ -27,9 +27,6 @@ from pcm_jax.mapping import MapCovariance
 from pcm_jax.mapping._linearization import linearize
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
-
-PANEL = 64
-"""Edges whose poses' joint covariance is formed at once; of larger panels most is not used."""
 
 
 class Innovation(NamedTuple):
@@ -55,25 +52,20 @@ def innovation(
         used: which edges hold.
         edges: which are asked for, used or not.
     """
-    covariance = MapCovariance(graph.with_edges(used))
+    if not len(edges):
+        return Innovation(np.zeros(0), np.zeros(0))
     tail, head, measurement, information = host_arrays(graph)
-    squared, width = np.empty(len(edges)), np.empty(len(edges))
-    by_place = np.argsort(tail[edges], kind="stable")
-    for start in range(0, len(edges), PANEL):
-        rows = by_place[start : start + PANEL]
-        some = edges[rows]
-        chosen = tail[some], head[some], lie.take(measurement, some), information[some]
-        linear = linearize(lie.as_numpy(graph.poses), padded_edges(*chosen, size=len(some)))
-        both = np.stack([np.asarray(linear.tail), np.asarray(linear.head)]).transpose(3, 1, 0, 2)
-        joint = _of_pairs(covariance, tail[some], head[some])
-        d = both.shape[1]
-        jacobian = both.reshape(len(some), d, 2 * d)
-        predicted = jacobian @ joint @ jacobian.swapaxes(1, 2)
-        total = np.eye(d) + np.where(used[some], -1.0, 1.0)[:, None, None] * predicted
-        residual = np.asarray(linear.residual).T[..., None]
-        squared[rows] = np.sum(residual * np.linalg.solve(total, residual), axis=(1, 2))
-        width[rows] = _width(total)
-    return Innovation(squared, width)
+    asked = tail[edges], head[edges], lie.take(measurement, edges), information[edges]
+    linear = linearize(lie.as_numpy(graph.poses), padded_edges(*asked, size=len(edges)))
+    both = np.stack([np.asarray(linear.tail), np.asarray(linear.head)]).transpose(3, 1, 0, 2)
+    count, d, *_ = both.shape
+    jacobian = both.reshape(count, d, 2 * d)
+    joint = MapCovariance(graph.with_edges(used)).pairs(*asked[:2])
+    predicted = jacobian @ joint @ jacobian.swapaxes(1, 2)
+    total = np.eye(d) + np.where(used[edges], -1.0, 1.0)[:, None, None] * predicted
+    residual = np.asarray(linear.residual).T[..., None]
+    squared = np.sum(residual * np.linalg.solve(total, residual), axis=(1, 2))
+    return Innovation(squared, _width(total))
 
 
 def squared_by_leaving(
@@ -86,14 +78,3 @@ def squared_by_leaving(
 def _width(covariance: Float[np.ndarray, "k d d"]) -> Float[np.ndarray, " k"]:
     sign, logarithm = np.linalg.slogdet(covariance)
     return np.where(sign > 0.0, np.exp(np.abs(logarithm) / (2 * covariance.shape[1])), np.nan)
-
-
-def _of_pairs(
-    covariance: MapCovariance, tail: np.ndarray, head: np.ndarray
-) -> Float[np.ndarray, "k 2*d 2*d"]:
-    """The joint covariance of every edge's two poses."""
-    poses, at = np.unique(np.stack([tail, head]), return_inverse=True)
-    at, d = at.reshape(2, -1), covariance.pose_graph.tangent_dim
-    joint = covariance.joint(poses).reshape(len(poses), d, len(poses), d)
-    blocks = joint[at.T[:, :, None], :, at.T[:, None, :], :]
-    return blocks.transpose(0, 1, 3, 2, 4).reshape(len(tail), 2 * d, 2 * d)

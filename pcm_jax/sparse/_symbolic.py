@@ -77,6 +77,15 @@ class FrontTree:
         )
         return np.where(self.front_of[position] == front, position - self.first[front], found)
 
+    def together(self, one: Int[np.ndarray, " k"], other: Int[np.ndarray, " k"]) -> np.ndarray:
+        """Marks the pairs of positions of which some front holds both: all that edges join."""
+        low, high = np.minimum(one, other), np.maximum(one, other)
+        front = self.front_of[low]
+        keys = front * self.size + high
+        at = np.minimum(np.searchsorted(self._rest_keys, keys), len(self.rest) - 1)
+        in_rest = self._rest_keys[at] == keys if len(self.rest) else False
+        return (self.front_of[high] == front) | in_rest
+
 
 class _Columns(NamedTuple):
     """Structure of the factor: column `j` holds rows `rows[start[j]:start[j + 1]]`, `j` first."""

@@ -1,5 +1,6 @@
 """Covariances of a map against the dense inverse, the gauge, GTSAM and Monte Carlo."""
 
+import dataclasses
 import pickle
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -10,9 +11,10 @@ import pytest
 
 from pcm_jax import lie
 from pcm_jax.errors import InputError
-from pcm_jax.graph import PoseGraph
+from pcm_jax.graph import PoseGraph, Priors
 from pcm_jax.mapping import (
     MapCovariance,
+    _pair_covariances,
     covariance,
     covariance_factor,
     joint_marginal_covariance,
@@ -122,6 +124,57 @@ def test_every_question_has_the_dense_answer(optimum, side):
     own = dense[np.arange(30), :, np.arange(30)]
     np.testing.assert_allclose(asked.diagonal(side=side), own, atol=atol, rtol=0)
     np.testing.assert_allclose(asked.diagonal(wanted, side=side), own[wanted], atol=atol, rtol=0)
+
+
+@pytest.mark.parametrize("many", [1, 10**6])
+def test_pairs_have_the_dense_answer(optimum, many, monkeypatch):
+    """Of edges, of poses that none joins, of the first pose; all at once, or panel by panel."""
+    monkeypatch.setattr(_pair_covariances, "MANY", many)
+    monkeypatch.setattr(_pair_covariances, "PANEL", 7)
+    monkeypatch.setattr(covariance, "MANY_POSES", many)
+    dense, d = expected_blocks(optimum, "right"), optimum.tangent_dim
+    far = np.array([[0, 25, 2, 29], [29, 0, 17, 1]])
+    first = np.concatenate([optimum.tail, far[0]])
+    second = np.concatenate([optimum.head, far[1]])
+    asked = MapCovariance(optimum)
+    found = asked.pairs(first, second).reshape(-1, 2, d, 2, d)
+    ends, atol = np.stack([first, second], axis=1), 1e-10 * np.abs(dense).max()
+    for row in range(2):
+        for column in range(2):
+            expected = dense[ends[:, row], :, ends[:, column]]
+            np.testing.assert_allclose(found[:, row, :, column], expected, atol=atol, rtol=0)
+    own = dense[np.arange(30), :, np.arange(30)]
+    np.testing.assert_allclose(asked.diagonal(), own, atol=atol, rtol=0)
+    left = expected_blocks(optimum, "left")[np.arange(30), :, np.arange(30)]
+    np.testing.assert_allclose(asked.diagonal(side="left"), left, atol=atol, rtol=0)
+
+
+@pytest.mark.parametrize("many", [1, 10**6])
+def test_pairs_of_a_map_with_priors(make_map, monkeypatch, many):
+    monkeypatch.setattr(_pair_covariances, "MANY", many)
+    graph = optimize(make_map()).graph
+    d, places = graph.tangent_dim, np.array([0, 20])
+    priors = Priors.from_arrays(
+        pose=places,
+        measurement=lie.take(graph.poses, places),
+        information=np.broadcast_to(np.eye(d), (2, d, d)),
+    )
+    asked = MapCovariance(dataclasses.replace(graph, priors=priors))
+    found = asked.pairs([0, 3], [1, 9])
+    for pair, block in zip(([0, 1], [3, 9]), found, strict=True):
+        joint = asked.joint(np.array(pair))
+        np.testing.assert_allclose(block, joint, atol=1e-10 * np.abs(joint).max(), rtol=0)
+
+
+def test_pairs_that_are_none_are_refused(make_map):
+    asked = MapCovariance(make_map())
+    assert asked.pairs(np.zeros(0, int), np.zeros(0, int)).shape == (0, 6, 6)
+    with pytest.raises(InputError, match=r"second\[1\]: 30 given, expected 0 … 29"):
+        asked.pairs([1, 2], [2, 30])
+    with pytest.raises(InputError, match="second: 1 poses given, expected 2 as in first"):
+        asked.pairs([1, 2], [2])
+    with pytest.raises(InputError, match=r"second\[1\]: 2 given, expected another pose"):
+        asked.pairs([1, 2], [2, 2])
 
 
 @pytest.mark.parametrize("of_column", ["right", "left"])

@@ -21,6 +21,7 @@ from pcm_jax.sparse.inverse import (
     inverse_diagonal,
     inverse_own,
 )
+from pcm_jax.sparse.selected import Selected
 
 
 @pytest.fixture
@@ -140,6 +141,29 @@ def test_one_column_and_its_own_block_are_those_of_the_dense_inverse(pattern, d,
         np.testing.assert_allclose(column, expected[:, :, pose] @ right, atol=1e-12)
         own = inverse_own(factor, pose, right)
         np.testing.assert_allclose(own, right.T @ expected[pose, :, pose] @ right, atol=1e-12)
+
+
+@pytest.mark.parametrize("d", [1, 3, 6])
+def test_blocks_at_the_factor_s_own_are_those_of_the_dense_inverse(pattern, d, rng):
+    """Of all pairs that share a front: those that edges join, and those that elimination adds."""
+    size, tail, head = pattern
+    plan, blocks, dense = random_system(rng, size, tail, head, d)
+    expected = np.linalg.inv(dense).reshape(size, d, size, d).transpose(0, 2, 1, 3)
+    position = plan.position
+    assert plan.tree.together(position[tail], position[head]).all()
+    first, second = (part.ravel() for part in np.indices((size, size)))
+    together = plan.tree.together(position[first], position[second])
+    assert together[first == second].all()
+    parted = np.zeros((size, size), bool)  # fronts, one by one
+    for front, start in enumerate(plan.tree.first):
+        rest = plan.tree.rest[plan.tree.rest_start[front] : plan.tree.rest_start[front + 1]]
+        own = np.arange(start, start + plan.tree.pivots[front])
+        parted[np.ix_(own, np.append(own, rest))] = True
+    parted |= parted.T
+    np.testing.assert_array_equal(together, parted[position[first], position[second]])
+    first, second = first[together], second[together]
+    found = Selected(factorize(plan, blocks)).pairs(first, second)
+    np.testing.assert_allclose(found, expected[first, second], atol=1e-13)
 
 
 @pytest.mark.parametrize("d", [3, 6])
