@@ -188,6 +188,12 @@ def edge_products(
     return EdgeProducts(*(xp.moveaxis(part, -1, 1) for part in stacked))
 
 
+def edge_gradients(linear: EdgeJacobians) -> Float[np.ndarray, "2 e d"]:
+    """`EdgeProducts.gradients` alone, in NumPy."""
+    residual, *both = linear
+    return np.stack([np.einsum("ije,ie->ej", by, residual) for by in both])
+
+
 def _dense(matrix: Any, like: Array) -> Float[Array, "i j e"]:
     xp = namespace(like)
     rows = [[xp.broadcast_to(xp.asarray(x, like.dtype), like.shape) for x in r] for r in matrix]

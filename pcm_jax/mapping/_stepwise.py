@@ -13,14 +13,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pcm_jax import lie
-from pcm_jax.mapping._host_step import solve_on_host
+from pcm_jax.mapping._host_step import solve_on_host, system_of
 from pcm_jax.mapping._linearization import (
     Edges,
     differential,
+    edge_gradients,
     edge_products,
     linearize,
     retract,
 )
+from pcm_jax.sparse import registry
 
 FIRST_DAMPING = 1e-5
 """λ of Levenberg-Marquardt at step size 1, where the trust region starts."""
@@ -124,6 +126,47 @@ def minimize(
         if settled:
             return Found(best.poses, initial, best.cost, accepted, bool(np.isfinite(best.cost)))
     return Found(best.poses, initial, best.cost, accepted, False)
+
+
+class Stepped(NamedTuple):
+    """The end of two steps with one factor.
+
+    Attributes:
+        halfway: Lie `[n]`, poses after the first.
+        cost: there.
+        poses: after both.
+        left: by how much the second was to lower the cost: about what was left to gain.
+    """
+
+    halfway: Any
+    cost: float
+    poses: Any
+    left: float
+
+
+def step_twice(poses: Any, edges: Edges, free: Bool[np.ndarray, " n"]) -> Stepped:
+    """Takes a step of Gauss-Newton, and another with the same factor.
+
+    Args:
+        poses, edges, free: as for `minimize`.
+
+    Raises:
+        NotPositiveDefiniteError: there is no factor.
+    """
+    here, counts = _Judged.at(poses, edges, False), np.array([len(free), len(edges.tail)])
+    d = here.gradients.shape[-1]
+    system = system_of((edges.tail, edges.head, free, counts), d)  # type: ignore[arg-type]
+    with registry.spare.borrow(system.plan.scalars) as memory:
+        factor = system.factorize(here.products, 0.0, memory)
+        gradient = system.gradient(here.gradients)
+        step: Any = factor.solve(gradient.ravel()).reshape(gradient.shape)
+        halfway = retract(poses, -step)
+        linear = linearize(halfway, edges)
+        gradient = system.gradient(edge_gradients(linear))
+        step = factor.solve(gradient.ravel()).reshape(gradient.shape)
+    cost = 0.5 * float(np.sum(np.square(linear.residual)))
+    left = 0.5 * float(np.sum(step * gradient))
+    return Stepped(halfway, cost, retract(halfway, -step), left)
 
 
 def _judge(change: float, predicted: float) -> tuple[bool, float]:

@@ -14,7 +14,6 @@ covariances cancel where they are subtracted. Runs on the host.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import functools
 import threading
@@ -45,7 +44,7 @@ SIDES = ("right", "left")
 MANY_POSES = 512
 """Poses from which one pass over the whole factor takes less than theirs (`Selected`)."""
 LOOPS_SINCE = 5
-"""Loops for which an older factor serves (`known`): more take longer than a new one."""
+"""Loops that a factor of before serves for (`first_order`): more take longer than a new one."""
 
 
 class MapCovariance:
@@ -279,9 +278,10 @@ class MapCovariance:
 
     @property
     def known(self) -> MapCovariance:
-        """The latest covariance of this map whose factor is made; the last one, if none has.
+        """The covariance that this map's next one follows to first order.
 
-        Not of steps of odometry (`extend`), which need no factor.
+        What it was extended from (`extend`) if that is factorised, or follows none that is; else
+        the last one before that was, of up to `LOOPS_SINCE` loops ago.
         """
         return self._trunk._past
 
@@ -297,8 +297,10 @@ class MapCovariance:
 
     def renamed(self, name: str) -> MapCovariance:
         """The same of a robot that is called otherwise; what is known of it is shared."""
-        twin = copy.copy(self)
-        twin.pose_graph = dataclasses.replace(self.pose_graph, name=name)
+        twin = object.__new__(MapCovariance)
+        own = {name: twin for name in ("_trunk", "_past") if getattr(self, name) is self}
+        renamed = dataclasses.replace(self.pose_graph, name=name)
+        twin.__dict__ |= self.__dict__ | own | {"pose_graph": renamed}
         return twin
 
     def factor(self) -> CholeskyFactor:

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from pcm_jax import lie
 from pcm_jax.graph import PoseGraph
 from pcm_jax.mapping._linearization import linearize
-from pcm_jax.mapping.covariance import MapCovariance
+from pcm_jax.mapping.covariance import LOOPS_SINCE, MapCovariance
 from pcm_jax.mapping.least_squares import padded_edges
 from pcm_jax.mapping.optimization import host_arrays
 from pcm_jax.mapping.priors import priors_of
@@ -34,13 +34,15 @@ def first_step(known: MapCovariance, before: int, grown: PoseGraph) -> Any | Non
     """Poses of a map with new edges after one step of Gauss-Newton.
 
     Args:
-        known: of the map at an earlier optimum; its factor is used, and made if it is not there.
+        known: of the map at an earlier optimum, `MapCovariance.known`; its factor is used, and made
+            if it is not there.
         before: edges of the map when it was last at its optimum, at least as many as `known` has.
         grown: the map, with the edges it had in their order, the new ones behind, and poses at the
             last optimum; new poses where the odometry puts them.
 
     Returns:
-        Lie `[n]`, NumPy; None for a map with priors, or with new poses that no odometry reaches.
+        Lie `[n]`, NumPy; None for a map with priors, with new poses that no odometry reaches, or
+        with no loops, or more than `LOOPS_SINCE`, since `known`.
 
     Raises:
         InputError: for a singular map.
@@ -49,8 +51,10 @@ def first_step(known: MapCovariance, before: int, grown: PoseGraph) -> Any | Non
     steps = _steps(grown, known.pose_graph.num_poses, edges)
     if steps is None or priors_of(grown) is not None:
         return None
-    chain = known.extend(grown.with_edges(np.append(np.arange(edges), steps)))
     loops = np.setdiff1d(np.arange(edges, grown.num_edges), steps)
+    if not 0 < len(loops) <= LOOPS_SINCE:
+        return None
+    chain = known.extend(grown.with_edges(np.append(np.arange(edges), steps)))
     residual, ends, slopes = _linearized(chain, grown.with_edges(loops))
     columns = _columns(chain, ends, slopes)
     d, count = grown.tangent_dim, len(loops)
@@ -62,6 +66,7 @@ def first_step(known: MapCovariance, before: int, grown: PoseGraph) -> Any | Non
     step: Any = -np.einsum("bnij,bj->ni", columns, weight)
     moved = np.array(lie.parameters(lie.compose(lie.exp(grown.group, step), chain.frame)))
     moved[:, -len(chain.origin) :] += chain.origin
+    moved[0] = lie.parameters(chain.pose_graph.poses)[0]  # which is held, to the last bit
     return lie.normalize(grown.group(moved))
 
 
@@ -95,9 +100,10 @@ def _columns(
     """V: the covariance of all poses with what each loop measures."""
     everyone, d = np.arange(chain.pose_graph.num_poses), slopes.shape[-1]
     columns = np.zeros((ends.shape[1], len(everyone), d, d))
-    for poses, slope in zip(ends, slopes, strict=True):
-        for loop, pose in enumerate(poses.tolist()):
-            columns[loop] += chain.column(pose, everyone) @ slope[loop].T
+    for pose in np.unique(ends).tolist():  # loops of one time have an end in common
+        column = chain.column(pose, everyone)
+        for end, loop in np.argwhere(ends == pose).tolist():
+            columns[loop] += column @ slopes[end, loop].T
     return columns
 
 

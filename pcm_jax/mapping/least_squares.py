@@ -20,7 +20,7 @@ from pcm_jax.compiling import is_worth_compiling
 from pcm_jax.errors import InputError, check_choice
 from pcm_jax.graph.priors import Priors
 from pcm_jax.mapping._linearization import Edges, whitened_residual, whitening_of
-from pcm_jax.mapping._stepwise import minimize
+from pcm_jax.mapping._stepwise import Stepped, minimize, step_twice
 from pcm_jax.sparse import registry
 
 SOLVERS = ("gauss-newton", "levenberg-marquardt")
@@ -206,6 +206,21 @@ class PoseProblem:
             int(steps),
             bool(converged),
         )
+
+    @on_host
+    def step_twice(self, poses: Any) -> Stepped:
+        """Takes a step of Gauss-Newton, and another with the same factor; see `_stepwise`.
+
+        Args:
+            poses: Lie `[n]`, of a problem without priors.
+
+        Raises:
+            NotPositiveDefiniteError: there is no factor.
+        """
+        edges, free = self._padded.part(slice(self._edges)), self._free[: self._poses]
+        found = step_twice(lie.as_numpy(poses), edges, free)
+        registry.spare.free()
+        return found
 
     @on_host
     def cost(self, poses: Any) -> float:

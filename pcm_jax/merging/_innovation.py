@@ -64,8 +64,12 @@ def innovation(
     predicted = jacobian @ joint @ jacobian.swapaxes(1, 2)
     total = np.eye(d) + np.where(used[edges], -1.0, 1.0)[:, None, None] * predicted
     residual = np.asarray(linear.residual).T[..., None]
-    squared = np.sum(residual * np.linalg.solve(total, residual), axis=(1, 2))
-    return Innovation(squared, _width(total))
+    regular = np.linalg.det(total) != 0.0
+    weighed = np.empty_like(residual)
+    weighed[regular] = np.linalg.solve(total[regular], residual[regular])
+    held_alone = np.linalg.pinv(total[~regular], hermitian=True)  # no residual where it is singular
+    weighed[~regular] = held_alone @ residual[~regular]
+    return Innovation(np.sum(residual * weighed, axis=(1, 2)), _width(total))
 
 
 def squared_by_leaving(

@@ -24,7 +24,7 @@ from pcm_jax.online._room import Room
 from pcm_jax.pipeline.weigh import optimized_maps
 
 SHARE = 0.1
-"""Of the tolerance at which `optimize` stops: what further steps may still change."""
+"""Of the tolerance at which `optimize` stops: what a last step may still change."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,29 +192,28 @@ def grown_by(
     odometry = new.is_odometry(given.num_poses) and not (settled and new.poses is not None)
     if odometry:
         return grown, covariance.extend(placed), True
-    optimum = grown if settled else _at_optimum(covariance, given.num_edges, placed)
+    if settled:
+        return grown, MapCovariance(grown, origin=covariance.origin), False
+    optimum = _at_optimum(covariance, given.num_edges, placed)
     return grown, covariance.followed_by(optimum), False
 
 
 def _at_optimum(covariance: MapCovariance, before: int, placed: PoseGraph) -> PoseGraph:
     """A map at its optimum, from where it is.
 
-    One step by the factor of before and one of Gauss-Newton, where the latter changes the cost by
-    so much less than the former that further ones, changing it less and less in the same ratio,
-    would be within the tolerance at which `optimize` stops; else as many as that takes.
+    By three steps and one factorisation: the first step with the factor of before, one of
+    Gauss-Newton, and another with its factor, if the cost that this is to take away is well within
+    the tolerance at which `optimize` stops. Otherwise `optimize` goes on from there.
     """
-    step = None
-    with contextlib.suppress(InputError):  # of a singular map, which tells when it is asked
+    with contextlib.suppress(InputError, np.linalg.LinAlgError):  # told when covariances are asked
         step = first_step(covariance.known, before, placed)
-    if step is not None:
-        problem = problem_of(placed)
-        cost = problem.cost(placed.poses)
-        solved = problem.solve(step, max_steps=2)
-        first, second = cost - solved.initial_cost, abs(solved.initial_cost - solved.cost)
-        if solved.cost < cost:
-            placed = placed.with_poses(solved.poses)
-        if second < first and second**2 / (first - second) <= SHARE * RTOL * solved.cost:
-            return placed
+        if step is not None:
+            problem = problem_of(placed)
+            found = problem.step_twice(step)
+            if 0.0 <= found.left <= SHARE * RTOL * found.cost:
+                return placed.with_poses(found.poses)
+            if found.cost < problem.cost(placed.poses):
+                placed = placed.with_poses(found.halfway)
     return optimized_maps((placed,), False, initial="given")[0]
 
 

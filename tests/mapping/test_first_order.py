@@ -129,6 +129,16 @@ def test_without_a_step(world):
     assert first_step(known, world.num_edges, grown) is None
 
 
+def test_without_loops_or_with_many(world):
+    known = MapCovariance(world)
+    longer = with_edge(world, 39, 40, seed=1)
+    assert first_step(known, world.num_edges, longer) is None
+    for pose in range(covariance.LOOPS_SINCE):
+        longer = with_edge(longer, 40, pose, error=0.01)
+    assert first_step(known, world.num_edges, longer) is not None
+    assert first_step(known, world.num_edges, with_edge(longer, 40, 20)) is None
+
+
 def test_a_singular_map_is_named(world):
     """All hangs on the first pose by next to nothing: 1e-30 + 1 − 1."""
     information = np.broadcast_to(np.eye(world.tangent_dim), world.information.shape).copy()
@@ -153,3 +163,14 @@ def test_one_factor_serves_a_few_loops(world, monkeypatch):
     here.joint(np.array([1, 2]))
     assert here.known is here and len(made) == 3
     assert here.extend(grown).known is here
+
+
+def test_a_name_changes_nothing_else(world):
+    asked = MapCovariance(world)
+    factor = asked.factor()
+    twin = asked.renamed("b")
+    assert twin.pose_graph.name == "b" and asked.pose_graph.name == world.name
+    assert twin.factor() is factor and twin.known is twin
+    longer = asked.extend(with_edge(world, 39, 40)).renamed("c")
+    assert longer.known is asked and longer.pose_graph.name == "c"
+    np.testing.assert_array_equal(longer.own(39), asked.own(39))

@@ -102,6 +102,22 @@ def test_an_edge_in_the_map_is_judged_as_if_it_were_not(group):
     assert inside.squared[0] == pytest.approx(outside.squared[0], rel=0.15)
 
 
+def test_an_edge_that_holds_the_map_together_alone():
+    """I − P is zero but for rounding, or to the last bit: no width, and there is no residual."""
+    unit = lie.identity(jaxlie.SE2, (4,))
+    chain = PoseGraph.from_arrays(
+        poses=unit,
+        tail=np.arange(3),
+        head=np.arange(1, 4),
+        measurement=lie.take(unit, slice(3)),
+        information=np.broadcast_to(np.eye(3), (3, 3, 3)),
+    )
+    squared, width = innovation(chain, np.ones(3, bool), np.arange(3))
+    np.testing.assert_array_equal(squared, np.zeros(3))
+    assert (np.isnan(width) | (width > 1e6)).all() and np.isnan(width).any()
+    assert len(innovation(chain, np.ones(3, bool), np.zeros(0, np.int64)).squared) == 0
+
+
 def test_false_closures_that_agree_with_all_others_leave():
     """Odometry says little of where turns lie, the map of the right ones where all poses do."""
     graph, right, _ = helix(false=30)

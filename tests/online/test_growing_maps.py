@@ -11,6 +11,7 @@ from online_worlds import without_closures
 from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning
 from pcm_jax.mapping import optimize
+from pcm_jax.mapping.covariance import LOOPS_SINCE
 from pcm_jax.online import IncrementalPcm, _maps
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
@@ -77,6 +78,49 @@ def test_large_ones_take_what_optimize_does(online, monkeypatch):
     online.extend(0, **loop(online, 2, error=0.5, seed=1))
     assert len(asked) == 1
     assert_at_optimum(online)
+
+
+@pytest.mark.parametrize(("tighter", "error"), [(1e3, 0.1), (1e4, 0.3), (1e9, 0.3)])
+def test_loops_that_turn_the_map_reach_the_optimum(online, tighter, error):
+    """A loop far tighter than the odometry: the first step's fall says nothing of what is left."""
+    one = loop(online, 30, error=error, seed=3)
+    online.extend(0, **one | {"information": one["information"] * tighter})
+    found = online._state.covariances[0].pose_graph
+    best = optimize(found, initial="given")
+    for _ in range(3):
+        best = optimize(best.graph, initial="given")
+    assert optimize(found, initial="given").initial_cost <= best.cost * (1.0 + 1e-8)
+
+
+def test_odometry_in_another_order_is_no_loop(online):
+    one = online.graph.maps[0]
+    steps = lie.take(lie.as_numpy(one.measurement), np.array([0, 1]))
+    online.extend(
+        0, tail=[60, 59], head=[61, 60], measurement=steps, information=one.information[:2]
+    )
+    assert online.graph.maps[0].num_poses == 62
+    assert_at_optimum(online)
+
+
+def test_many_loops_at_once_are_solved_whole(online, monkeypatch):
+    asked = whole(monkeypatch)
+    loops = [loop(online, pose, error=0.01, seed=pose) for pose in range(LOOPS_SINCE + 1)]
+    online.extend(
+        0,
+        tail=np.concatenate([one["tail"] for one in loops]),
+        head=np.concatenate([one["head"] for one in loops]),
+        measurement=lie.concatenate([one["measurement"] for one in loops]),
+        information=np.concatenate([one["information"] for one in loops]),
+    )
+    assert len(asked) == 1
+    assert_at_optimum(online)
+
+
+def test_the_first_pose_stays(online):
+    before = np.array(lie.parameters(online._state.covariances[0].pose_graph.poses))[0]
+    online.extend(0, **loop(online, 7, error=0.01, seed=1))
+    after = np.array(lie.parameters(online._state.covariances[0].pose_graph.poses))[0]
+    np.testing.assert_array_equal(after, before)
 
 
 def test_a_singular_map_grows_with_a_warning(online):
