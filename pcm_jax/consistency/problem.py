@@ -313,25 +313,20 @@ def padded(transforms: Any, size: int) -> Any:
     return lie.as_device(lie.pad_leading(transforms, size))
 
 
-def check_pair(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> Any:
-    """The group of two maps and the closures between them.
-
-    Raises:
-        InputError: as `consistency_problem` does.
-    """
+def check_pair(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> None:
+    """Raises `InputError`, as `consistency_problem`, for maps and closures that do not match."""
     from pcm_jax.graph import LoopClosures, PoseGraph
 
     check_class("map_a", map_a, "a PoseGraph", PoseGraph)
     check_class("map_b", map_b, "a PoseGraph", PoseGraph)
     check_class("closures", closures, "LoopClosures", LoopClosures)
-    group = _common_group(map_a, map_b, closures)
+    _check_group(map_a, map_b, closures)
     _check_one_pair(closures)
     _check_indices(np.asarray(closures.pose_a), map_a.num_poses, "pose_a")
     _check_indices(np.asarray(closures.pose_b), map_b.num_poses, "pose_b")
-    return group
 
 
-def _common_group(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> Any:
+def _check_group(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) -> None:
     group = lie.group_of(closures.measurement)
     for name, pose_graph in (("map_a", map_a), ("map_b", map_b)):
         other = lie.group_of(pose_graph.poses)
@@ -339,7 +334,6 @@ def _common_group(map_a: PoseGraph, map_b: PoseGraph, closures: LoopClosures) ->
             raise InputError(
                 f"{name}: poses are {other.__name__}, expected {group.__name__} like the closures"
             )
-    return group
 
 
 def _check_one_pair(closures: LoopClosures) -> None:
