@@ -117,10 +117,21 @@ def test_lessens_the_cost_as_a_whole_step_does(world):
     assert after - best < 1e-3 * (start - best)
 
 
+def test_the_held_pose_stays_to_the_last_bit(world):
+    values = np.array(lie.parameters(lie.as_numpy(world.poses)))
+    values[:, -2:] += 0.1
+    moved = world.with_poses(world.group(values))
+    space = 2 if world.tangent_dim == 3 else 3
+    known = MapCovariance(moved, origin=np.full(space, 1e7))
+    found = first_step(known, moved.num_edges, with_edge(moved, 39, 3, error=0.01))
+    np.testing.assert_array_equal(lie.parameters(found)[0], values[0])
+
+
 def test_without_a_step(world):
     known = MapCovariance(world)
     apart = with_edge(world, 10, 40)  # a new pose, and no odometry leads there
-    assert first_step(known, world.num_edges, apart) is None
+    for grown in (apart, with_edge(apart, 40, 3, error=0.01)):
+        assert first_step(known, world.num_edges, grown) is None
     d = world.tangent_dim
     priors = Priors.from_arrays(
         pose=np.array([0]), measurement=lie.take(world.poses, [0]), information=np.eye(d)[None]
