@@ -8,6 +8,7 @@ import pytest
 from pcm_jax import lie, optimize
 from pcm_jax.compiling import ALWAYS
 from pcm_jax.mapping import least_squares
+from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
 SIMULATE = {"SE2": simulate_city, "SE3": simulate_sessions}
@@ -103,3 +104,20 @@ def test_slices_of_edges_are_the_whole(pose_graph, monkeypatch):
         assert sliced.cost == pytest.approx(whole.cost, rel=1e-12)
         poses = (lie.parameters(lie.as_numpy(one.graph.poses)) for one in (sliced, whole))
         np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
+
+
+def test_two_steps_with_one_factor(pose_graph):
+    """The first is Gauss-Newton's; what the second is to gain, it gains, and is told."""
+    near = optimize(pose_graph).graph
+    moves = 1e-3 * np.random.default_rng(0).normal(size=(near.num_poses, near.tangent_dim))
+    moves[0] = 0.0
+    poses = lie.as_numpy(lie.compose(near.poses, lie.exp(near.group, moves)))
+    problem = problem_of(near)
+    found = problem.step_twice(poses)
+    whole = problem.solve(poses, max_steps=2)
+    assert found.cost == pytest.approx(whole.cost, rel=1e-9)
+    assert found.cost == pytest.approx(problem.cost(found.halfway), rel=1e-12)
+    best = problem.solve(poses, rtol=0.0, atol=1e-12, max_steps=20).cost
+    left = found.cost - best
+    assert left > 1e-12 and found.left == pytest.approx(left, rel=0.2, abs=1e-13)
+    assert problem.cost(found.poses) - best < 0.1 * left

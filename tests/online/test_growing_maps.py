@@ -10,8 +10,9 @@ from online_worlds import without_closures
 
 from pcm_jax import lie
 from pcm_jax.errors import ConvergenceWarning
-from pcm_jax.mapping import optimize
+from pcm_jax.mapping import covariance, optimize
 from pcm_jax.mapping.covariance import LOOPS_SINCE
+from pcm_jax.mapping.optimization import problem_of
 from pcm_jax.online import IncrementalPcm, _maps
 from pcm_jax.simulation import simulate_city, simulate_sessions
 
@@ -73,10 +74,25 @@ def test_small_loops_take_one_step(online, monkeypatch):
     assert asked == [] or one.num_edges == one.num_poses - 1
 
 
+def test_loops_that_follow_each_other_share_a_factor(online, monkeypatch):
+    made, factorize = [], covariance.covariance_factor
+    monkeypatch.setattr(
+        covariance, "covariance_factor", lambda graph: (made.append(graph), factorize(graph))[1]
+    )
+    for number in range(LOOPS_SINCE):
+        online.extend(0, **loop(online, 3 * number, error=0.01, seed=number))
+    assert len(made) == 1
+
+
 def test_large_ones_take_what_optimize_does(online, monkeypatch):
+    """From where the first steps led, if that is nearer."""
     asked = whole(monkeypatch)
+    before = online._state.covariances[0].pose_graph
     online.extend(0, **loop(online, 2, error=0.5, seed=1))
+    (start,) = asked[0]
     assert len(asked) == 1
+    problem = problem_of(start)
+    assert problem.cost(start.poses) < problem.cost(before.poses)
     assert_at_optimum(online)
 
 
