@@ -70,12 +70,23 @@ class FrontTree:
     def _rest_keys(self) -> Int[np.ndarray, " r"]:
         return np.repeat(np.arange(len(self.first)), self.rests) * self.size + self.rest
 
-    def locate(self, front: Int[np.ndarray, " k"], position: Int[np.ndarray, " k"]) -> Int:
-        """Index of a position among its front's pivots, or, for the rest, among the rest."""
+    def locate(
+        self,
+        front: Int[np.ndarray, " k"],
+        position: Int[np.ndarray, " k"],
+        pivots: Int[np.ndarray, " s"],
+    ) -> Int[np.ndarray, " k"]:
+        """Index of a position in a front that holds it: its pivots come first, then its rest.
+
+        Args:
+            front, position: each pair of them.
+            pivots: of every front, the index at which its rest begins: its pivots, or more.
+        """
         found = (
             np.searchsorted(self._rest_keys, front * self.size + position) - self.rest_start[front]
         )
-        return np.where(self.front_of[position] == front, position - self.first[front], found)
+        own = self.front_of[position] == front
+        return np.where(own, position - self.first[front], pivots[front] + found)
 
     def together(self, one: Int[np.ndarray, " k"], other: Int[np.ndarray, " k"]) -> np.ndarray:
         """Marks the pairs of positions of which some front holds both: all that edges join."""

@@ -239,8 +239,7 @@ def _terms_of_matrix(
     tree: FrontTree, shapes: _Shapes, row: np.ndarray, column: np.ndarray, d: int
 ) -> _Terms:
     front = tree.front_of[column]
-    local = tree.locate(front, row)
-    local = np.where(tree.front_of[row] == front, local, shapes.pivots[front] + local)
+    local = tree.locate(front, row, shapes.pivots)
     source = (1 + np.arange(len(row))) * d
     return _Terms(front, local, column - tree.first[front], source, np.ones_like(source))
 
@@ -257,8 +256,7 @@ def _terms_of_updates(tree: FrontTree, shapes: _Shapes, first_update: int, d: in
     """Each child's update matrix, lower triangle of blocks, into its parent's front."""
     owner = np.repeat(np.arange(len(tree.first)), tree.rests)
     above = tree.parent[owner]
-    local = tree.locate(above, tree.rest)
-    local = np.where(tree.front_of[tree.rest] == above, local, shapes.pivots[above] + local)
+    local = tree.locate(above, tree.rest, shapes.pivots)
     # Entry k of the rest is paired with itself and every earlier entry of the same rest.
     before = np.arange(len(owner)) - tree.rest_start[owner]
     row = np.repeat(np.arange(len(owner)), before + 1)

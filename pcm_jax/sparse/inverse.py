@@ -249,8 +249,7 @@ def _gathered(
     right = np.zeros((pivots + rests, d, (high - low) * d))
     for child, first_column, update in passed:
         positions = tree.rest[tree.rest_start[child] : tree.rest_start[child + 1]]
-        local = tree.locate(np.full(len(positions), front), positions)
-        rows = np.where(tree.front_of[positions] == front, local, pivots + local)
+        rows = tree.locate(np.full(len(positions), front), positions, tree.pivots)
         start = (first_column - low) * d
         right[rows, :, start : start + update.shape[1]] += update.reshape(len(rows), d, -1)
     return right.reshape((pivots + rests) * d, -1)

@@ -48,8 +48,7 @@ class Selected:
         row, column = position[first], position[second]
         low, high = np.minimum(row, column), np.maximum(row, column)
         front = tree.front_of[low]
-        local = tree.locate(front, high)
-        local = np.where(tree.front_of[high] == front, local, self._layout.pivots[front] + local)
+        local = tree.locate(front, high, self._layout.pivots)
         own, width = low - tree.first[front], self._layout.width[front]
         found = np.where(row <= column, own * width + local, local * width + own)
         return self._blocks[self._layout.start[front] + found]
@@ -117,11 +116,8 @@ def _places(
     index = tree.rest_start[fronts][:, None] + np.arange(rests)
     given = np.arange(rests) < length[:, None]
     parent = np.broadcast_to(tree.parent[fronts][:, None], index.shape)[given]
-    position = tree.rest[index[given]]
-    local = tree.locate(parent, position)
-    inside = tree.front_of[position] == parent
     at = np.zeros(index.shape, np.int64)
-    at[given] = np.where(inside, local, layout.pivots[parent] + local)
+    at[given] = tree.locate(parent, tree.rest[index[given]], layout.pivots)
     above = tree.parent[fronts]
     start, width = layout.start[above], layout.width[above]
     places = start[:, None, None] + at[:, :, None] * width[:, None, None] + at[:, None, :]
