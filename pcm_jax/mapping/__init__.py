@@ -16,7 +16,7 @@ Data walks through this folder once:
     _odometry           the steps by which a map has grown
     _lost_digits        the share of covariances that rounding takes
     covariance_factor   the factor of the information matrix at the optimum
-    _pair_covariances   of many pairs of poses at once
+    _pair_covariances   the joint covariances of many pairs of poses
     covariance          `MapCovariance` of the poses at the optimum
     first_order         the first step as loops come, by the factor of before
     implicit            the optimum as a differentiable function of its data

@@ -183,15 +183,18 @@ def edge_products(
     xp = namespace(by_tail, by_head, residual)
     to_tail, to_head = xp.swapaxes(by_tail, 0, 1), xp.swapaxes(by_head, 0, 1)
     pairs = ((to_tail, by_tail), (to_head, by_head), (to_head, by_tail))
-    gradients = [multiply(by, residual[:, None])[:, 0] for by in (to_tail, to_head)]
-    stacked = xp.stack([multiply(*pair) for pair in pairs]), xp.stack(gradients)
-    return EdgeProducts(*(xp.moveaxis(part, -1, 1) for part in stacked))
+    products = xp.moveaxis(xp.stack([multiply(*pair) for pair in pairs]), -1, 1)
+    return EdgeProducts(products, edge_gradients(by_tail, by_head, residual))
 
 
-def edge_gradients(linear: EdgeJacobians) -> Float[np.ndarray, "2 e d"]:
-    """`EdgeProducts.gradients` alone, in NumPy."""
-    residual, *both = linear
-    return np.stack([np.einsum("ije,ie->ej", by, residual) for by in both])
+def edge_gradients(
+    by_tail: Float[Array, "d d e"], by_head: Float[Array, "d d e"], residual: Float[Array, "d e"]
+) -> Float[Array, "2 e d"]:
+    """`EdgeProducts.gradients` alone."""
+    xp = namespace(by_tail, by_head, residual)
+    transposed = (xp.swapaxes(by, 0, 1) for by in (by_tail, by_head))
+    gradients = [multiply(by, residual[:, None])[:, 0] for by in transposed]
+    return xp.moveaxis(xp.stack(gradients), -1, 1)
 
 
 def _dense(matrix: Any, like: Array) -> Float[Array, "i j e"]:
