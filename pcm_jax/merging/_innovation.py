@@ -64,12 +64,14 @@ def innovation(
     predicted = jacobian @ joint @ jacobian.swapaxes(1, 2)
     total = np.eye(d) + np.where(used[edges], -1.0, 1.0)[:, None, None] * predicted
     residual = np.asarray(linear.residual).T[..., None]
-    regular = np.linalg.det(total) != 0.0
+    sign, logarithm = np.linalg.slogdet(total)
+    width = np.where(sign > 0.0, np.exp(np.abs(logarithm) / (2 * d)), np.nan)
+    regular = sign != 0.0
     weighed = np.empty_like(residual)
     weighed[regular] = np.linalg.solve(total[regular], residual[regular])
     held_alone = np.linalg.pinv(total[~regular], hermitian=True)  # no residual where it is singular
     weighed[~regular] = held_alone @ residual[~regular]
-    return Innovation(np.sum(residual * weighed, axis=(1, 2)), _width(total))
+    return Innovation(np.sum(residual * weighed, axis=(1, 2)), width)
 
 
 def squared_by_leaving(
@@ -77,8 +79,3 @@ def squared_by_leaving(
 ) -> Float[np.ndarray, " k"]:
     """Computes χ² alone, see `_innovation`."""
     return innovation(graph, used, edges).squared
-
-
-def _width(covariance: Float[np.ndarray, "k d d"]) -> Float[np.ndarray, " k"]:
-    sign, logarithm = np.linalg.slogdet(covariance)
-    return np.where(sign > 0.0, np.exp(np.abs(logarithm) / (2 * covariance.shape[1])), np.nan)
